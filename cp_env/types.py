@@ -1,0 +1,96 @@
+"""Frozen data that flows down the river: scene → sweep → detections.
+
+Convention:
+    world frame   x east, y north, z up; metres; ground at z = 0; yaw in radians, counter-clockwise from east.
+    grid frame    a vehicle's own frame: origin below its sensor, axes parallel to the world's (a compass is assumed),
+                  so two grid frames differ by a translation only; z is height above ground.
+    box           (x, y, length, width, yaw): centre, full extents along and across the heading, heading.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float, Int
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """One recorded episode of traffic, in the world frame.
+
+    A vehicle that is absent in a frame has NaN in `pose` there. Parked cars are vehicles like any other.
+    """
+
+    name: str
+    kind: str  # "urban" | "suburban" | "intersection"
+    dt: float  # seconds between frames
+    pose: Float[np.ndarray, "T M 3"]  # x, y, yaw of the box centre; m, m, rad
+    size: Float[np.ndarray, "M 3"]  # length, width, height; m
+    connected: Int[np.ndarray, " A"]  # rows of the radio-equipped vehicles, present in every frame; the first is the ego
+    rsu: Float[np.ndarray, " 3"] | None  # x, y, z of the road-side unit's sensor
+    obstacles: Float[np.ndarray, "B 6"]  # x, y, yaw, length, width, height of buildings, walls, trunks: standing on the ground
+
+    @property
+    def n_frames(self) -> int:
+        return len(self.pose)
+
+    @property
+    def n_connected(self) -> int:
+        return len(self.connected)
+
+
+@dataclass(frozen=True, eq=False)
+class Sweep:
+    """One LiDAR revolution of one sensor."""
+
+    points: Float[np.ndarray, "P 3"]  # grid frame of its own sensor; m
+    origin: Float[np.ndarray, " 3"]  # x, y, z of the sensor in the world frame; m
+    hits: Int[np.ndarray, " M"] | None = None  # returns from each of the scene's vehicles, where the source knows
+
+
+@dataclass(frozen=True, eq=False)
+class Detections:
+    """Oriented boxes, best score first, in the grid frame of the ego that detected them."""
+
+    boxes: Float[np.ndarray, "L 5"]
+    scores: Float[np.ndarray, " L"]
+
+    def above(self, threshold: float) -> Detections:
+        """Only the boxes whose score is at least `threshold`."""
+        keep = self.scores >= threshold
+        return Detections(self.boxes[keep], self.scores[keep])
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """What the ego perceives when it fuses one group of maps. Opaque to defenders: they hold it, compare it, hand it back."""
+
+    group: frozenset[int]
+    frame: int
+    origin: Float[np.ndarray, " 2"]  # the ego's grid origin in the world frame; m
+    detections: Detections  # every box down to the decoder's floor, for AP
+    seen: Detections = field(repr=False)  # those at or above the operating threshold: what the ego acts on
+    score_map: Float[np.ndarray, "h w"] = field(repr=False)  # per-cell probability of a vehicle centre
+
+
+@runtime_checkable
+class SceneSource(Protocol):
+    """Where scenes come from. All sources give the same types and pass the same laws."""
+
+    name: str
+    digest: str  # changes whenever the sweeps would; part of the cache key
+
+    def names(self) -> tuple[str, ...]:
+        """The scenes of this source's split."""
+        ...
+
+    def load(self, name: str) -> Scene: ...
+
+    def sweeps(self, scene: Scene, frames: Sequence[int]) -> list[list[Sweep]]:
+        """`[frame][agent]`: the connected vehicles in order, then the road-side unit if the scene has one."""
+        ...
+
+
