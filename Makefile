@@ -1,0 +1,43 @@
+# `make demo` and `make test` do all the set-up they need, once, in .venv.
+PYTHON ?= python3
+# Where the CPU build of torch is looked for beside PyPI (whose Linux build brings gigabytes of CUDA). Empty: PyPI only.
+TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
+WORKERS ?= 2
+
+BIN := .venv/bin
+READY := .venv/.installed
+PIP := $(BIN)/python -m pip --disable-pip-version-check
+TORCH := $(shell grep '^torch==' constraints.txt)
+export OMP_NUM_THREADS ?= 1
+
+.PHONY: demo test lint bench record clean
+.DEFAULT_GOAL := demo
+
+demo: $(READY) ## the small benchmark: a table on screen, out/demo/ on disk with the picture of one episode
+	$(BIN)/python examples/benchmark.py --small --out out/demo
+
+test: $(READY) ## every test, on two workers
+	$(BIN)/python -m pytest -n $(WORKERS) --benchmark-disable $(PYTEST_ARGS)
+
+lint: $(READY) ## style, types, import contracts
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+bench: $(READY) ## speed, on one torch thread
+	$(BIN)/python -m pytest benchmarks --benchmark-only --benchmark-columns=median,iqr,rounds
+
+record: $(READY) ## record the town's traffic anew (needs the simulator, about 260 MB)
+	$(PIP) install -c constraints.txt -e '.[sumo]'
+	$(BIN)/python -m cp_env.scenes.record
+
+clean: ## forget the virtual environment
+	rm -rf .venv
+
+# torch first, by its exact version and without its dependencies: an open range would prefer the CUDA build.
+$(READY): pyproject.toml constraints.txt
+	test -x $(BIN)/python || $(PYTHON) -m venv .venv
+	$(PIP) install --quiet --retries 1 --no-deps $(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX)) $(TORCH)
+	$(PIP) install --quiet -c constraints.txt -e '.[dev,train]'
+	touch $@

@@ -1,0 +1,32 @@
+"""One torch thread a worker, shapes checked at run time, and a cache directory of the session's own."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+
+IS_WORKER = "PYTEST_XDIST_WORKER" in os.environ  # a worker of pytest-xdist inherits the session's cache directory
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # before torch is imported
+os.environ.setdefault("MPLBACKEND", "Agg")
+if not IS_WORKER:
+    os.environ["CP_ENV_CACHE"] = tempfile.mkdtemp(prefix="cp-env-tests-")  # before a scene bank is opened
+
+import pytest
+import torch
+from hypothesis import HealthCheck, settings
+from jaxtyping import install_import_hook
+
+torch.set_num_threads(1)
+install_import_hook(["cp_env", "defenders", "agents"], "beartype.beartype")
+
+settings.register_profile(
+    "tests", deadline=None, max_examples=50, derandomize=True, suppress_health_check=[HealthCheck.too_slow]
+)
+settings.load_profile("tests")
+
+
+def pytest_unconfigure(config: pytest.Config) -> None:
+    """Throw the session's encoded features away."""
+    if not IS_WORKER:
+        shutil.rmtree(os.environ["CP_ENV_CACHE"], ignore_errors=True)
