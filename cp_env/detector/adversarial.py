@@ -1,15 +1,17 @@
 """What liars maximise: our reading of L_det in the paper's attack, max over δ of Σ L_det(d, d'), PRBI Eq. (2).
 
 The paper is silent on L_det and on d'. The attack here is untargeted: d is the decoder's own clean output (a liar knows
-no ground truth), and the loss is a sum of three, each measured per vehicle the ego would have seen:
+no ground truth), and the loss is a sum of three, each divided by the number of vehicles the ego would have seen, each
+zero when nothing changed:
 
-    hide   scores fall on object cells, the cells in which the clean output sees a vehicle;
-    spoof  scores rise elsewhere, softly counted once for every block of the size of a car, so that the many easy
+    hide   logits fall on object cells, the cells in which the clean output sees a vehicle;
+    spoof  logits rise elsewhere, softly counted once for every block of the size of a car, so that the many easy
            background cells do not win over the few that can become a ghost, and ghosts come out apart from each other;
     drift  boxes move on object cells: L1 of the regression.
 
-Scores enter as logits that stop counting `MARGIN` beyond the middle: what is already hidden or already a ghost takes no
-more of the budget (the hinge of Carlini and Wagner).
+Logits stop counting `MARGIN` beyond the middle: what is already hidden or already a ghost takes no more of the budget
+(the hinge of Carlini and Wagner). Up to there a hidden object counts in logits, not in nats, whose gradient would vanish
+on the objects the detector is surest of.
 """
 
 from __future__ import annotations
@@ -57,20 +59,17 @@ def adversarial_loss(
     objects = probability * (probability >= OBJECT_PROBABILITY)
     count = objects.sum((-2, -1)).clamp(min=1.0)
     weights = objects if where is None else objects * where
-    hidden = (weights * _hidden(dense.logits)).sum((-2, -1)) / count
-    drifted = (weights * _drifted(dense.boxes, clean.boxes.detach())).sum((-2, -1)) / count
-    ghosts = _ghosts(dense.logits, _background(objects), where) / count
-    return hide * hidden + spoof * ghosts + drift * drifted
+    background = _background(objects)
+    hidden = _capped(-dense.logits) - _capped(-clean.logits.detach())
+    drifted = (dense.boxes - clean.boxes.detach()).abs().clamp(max=REACH).mean(1)
+    ghosts = _ghosts(dense.logits, background, where) - _ghosts(clean.logits.detach(), background, where)
+    on_objects = hide * (weights * hidden).sum((-2, -1)) + drift * (weights * drifted).sum((-2, -1))
+    return (on_objects + spoof * ghosts) / count
 
 
-def _hidden(logits: Float[Tensor, "B h w"]) -> Float[Tensor, "B h w"]:
-    """Error of calling each cell a background cell, in nats, up to the margin."""
-    return functional.softplus(-logits.clamp(min=-MARGIN))
-
-
-def _drifted(boxes: Float[Tensor, "B P h w"], clean: Float[Tensor, "B P h w"]) -> Float[Tensor, "B h w"]:
-    """L1 distance of the box regressions, mean over their components, each up to `REACH`."""
-    return (boxes - clean).abs().clamp(max=REACH).mean(1)
+def _capped(logits: Float[Tensor, "..."]) -> Float[Tensor, "..."]:
+    """Logits in the liar's favour, up to the margin."""
+    return logits.clamp(max=MARGIN)
 
 
 def _background(objects: Float[Tensor, "B h w"]) -> Float[Tensor, "B h w"]:
@@ -87,7 +86,7 @@ def _ghosts(
     masked = torch.where(background > 0, logits, torch.full_like(logits, floor))
     tiles = functional.unfold(masked.unsqueeze(1), kernel_size=BLOCK, stride=BLOCK)
     block = torch.logsumexp(tiles, 1)
-    error = functional.softplus(block.clamp(max=MARGIN))
+    error = functional.softplus(_capped(block))
     if where is not None:
         error = error * functional.avg_pool2d(where.unsqueeze(1), BLOCK).flatten(1)
     return error.sum(1)
