@@ -1,0 +1,9 @@
+"""f_E, f_T, f_F and f_D: from sweeps to shared maps, and from a group's maps to oriented boxes."""
+
+from __future__ import annotations
+
+from cp_env.detector.decoder import Dense
+from cp_env.detector.detector import Detector
+from cp_env.detector.weights import load_detector
+
+__all__ = ["Dense", "Detector", "load_detector"]

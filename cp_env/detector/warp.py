@@ -1,0 +1,49 @@
+"""f_T: a sender's map in the ego's frame.
+
+Convention:
+    maps          [..., C, H, W]; row ↔ y (row 0 at y = -extent), column ↔ x (column 0 at x = -extent); cell centres carry the values.
+    ego_T_sender  (x, y, yaw) of the sender's grid frame in the ego's; m, m, rad. It takes sender points to ego points.
+Sampling is bilinear between cell centres, with zeros outside the sender's map: linear in the maps, and differentiable.
+"""
+
+from __future__ import annotations
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.nn import functional
+
+
+def sender_points(
+    ego_T_sender: Float[Tensor, "*n 3"], size: int, extent: float
+) -> tuple[Float[Tensor, "*n H W"], Float[Tensor, "*n H W"]]:
+    """x and y, in the sender's frame and in units of `extent`, of the centre of every cell of the ego's map."""
+    centre = (2 * torch.arange(size, dtype=ego_T_sender.dtype, device=ego_T_sender.device) + 1) / size - 1
+    x, y, yaw = (ego_T_sender[..., i, None, None] for i in range(3))
+    dx, dy = centre[None, :] - x / extent, centre[:, None] - y / extent
+    cos, sin = torch.cos(yaw), torch.sin(yaw)
+    return cos * dx + sin * dy, cos * dy - sin * dx
+
+
+def warp(
+    maps: Float[Tensor, "*n C H W"], ego_T_sender: Float[Tensor, "*n 3"], extent: float
+) -> Float[Tensor, "*n C H W"]:
+    """The maps as the ego would have drawn them: what lies at p in the sender's frame lies at ego_T_sender · p here."""
+    if maps.shape[:-3] != ego_T_sender.shape[:-1]:
+        raise ValueError(
+            f"a map needs one pose each: maps {tuple(maps.shape)} = [..., C, H, W] come with poses "
+            f"{tuple(ego_T_sender.shape)}; pass poses of shape {(*maps.shape[:-3], 3)}"
+        )
+    x, y = sender_points(ego_T_sender.to(maps.dtype), maps.shape[-1], extent)
+    grid = torch.stack([x, y], dim=-1).flatten(end_dim=-4) if maps.dim() > 4 else torch.stack([x, y], dim=-1)
+    flat = functional.grid_sample(
+        maps.reshape(-1, *maps.shape[-3:]), grid.reshape(-1, *grid.shape[-3:]), padding_mode="zeros", align_corners=False
+    )
+    return flat.reshape(maps.shape)
+
+
+def coverage(ego_T_sender: Float[Tensor, "*n 3"], size: int, extent: float) -> Float[Tensor, "*n H W"]:
+    """1 where the centre of the ego's cell lies on the sender's map, 0 elsewhere."""
+    x, y = sender_points(ego_T_sender, size, extent)
+    edge = 1 + 1e-5  # a turn by 90 degrees must not lose a border to rounding
+    return ((x.abs() <= edge) & (y.abs() <= edge)).to(ego_T_sender.dtype)
