@@ -28,6 +28,9 @@ CAR_HEIGHT = 1.75  # m; vehicles below it have a bonnet and a boot, the others a
 BODY_HEIGHT, CABIN_LENGTH, CABIN_WIDTH, CABIN_BACK = 0.58, 0.55, 0.88, 0.05  # of a car's height, length, width, length
 
 
+GROUND, NOTHING = 1 << 30, (1 << 30) + 1  # owners of rays that meet no vehicle and no obstacle
+
+
 @dataclass(frozen=True)
 class LidarSpec:
     """What a sensor can do.
@@ -48,7 +51,9 @@ class LidarSpec:
 
     def __post_init__(self) -> None:
         if not self.elevations or not all(-90 < e < 90 and e != 0 for e in self.elevations):
-            raise ValueError(f"elevations must be degrees between -90 and 90 and not 0, one or more: got {self.elevations}")
+            raise ValueError(
+                f"elevations must be one or more degrees in (-90, 90), none of them 0: got {self.elevations}"
+            )
         if self.azimuths < 1 or self.max_range <= 0:
             raise ValueError(f"azimuths and max_range must be positive: got {self.azimuths} and {self.max_range}")
         if self.range_noise < 0 or self.dropout < 0 or self.far_dropout < 0:
@@ -56,7 +61,7 @@ class LidarSpec:
 
 
 def fan(low: float, high: float, beams: int, *, horizon: float = -1.5, gather: float = 1.4) -> tuple[float, ...]:
-    """`beams` elevations from `low` to `high` degrees, closer together near `horizon` the larger `gather` is above 1."""
+    """`beams` elevations from `low` to `high` degrees, the denser near `horizon` the more `gather` exceeds 1."""
     span_low, span_high = horizon - low, high - horizon
     share = span_low ** (1 / gather) / (span_low ** (1 / gather) + span_high ** (1 / gather))
     u = np.linspace(-share, 1 - share, beams)
@@ -81,7 +86,7 @@ def scan(
     rsu_spec: LidarSpec = RSU,
     device: str = "cpu",
 ) -> list[list[Sweep]]:
-    """For every (scene, frame): the sweeps of its connected vehicles in order, then of its road-side unit if it has one.
+    """For every (scene, frame): the sweeps of its connected vehicles in order, then of its road-side unit if any.
 
     A vehicle's sensor stands `ROOF` m above its roof, the road-side unit's where the scene says. `Sweep.hits[m]` counts
     the returns from the scene's vehicle m. `rsu=False` leaves the road-side units out.
@@ -99,15 +104,15 @@ def scan(
 
 @dataclass(frozen=True)
 class Mount:
-    """One sensor where it stands: the world's frame it is in, its place (m), its heading (rad), the vehicle it rides on (-1: none)."""
+    """One sensor where it stands."""
 
-    job: int
-    agent: int
-    x: float
+    job: int  # which of the given (scene, frame) it is in
+    agent: int  # connected vehicles count from 0, the road-side unit comes last
+    x: float  # world frame; m
     y: float
     z: float
-    yaw: float
-    vehicle: int
+    yaw: float = 0.0  # rad
+    vehicle: int = -1  # the scene's row of the vehicle it rides on, -1 for none
 
     @property
     def origin(self) -> Float[np.ndarray, " 3"]:
@@ -122,23 +127,25 @@ def _vehicle_mounts(jobs: Sequence[tuple[Scene, int]]) -> list[Mount]:
         for agent, row in enumerate(scene.connected.tolist()):
             x, y, yaw = scene.pose[frame, row].tolist()
             if math.isnan(x):
-                raise ValueError(f"connected vehicle {row} of scene {scene.name!r} is absent in frame {frame}; it must be present in all")
+                raise ValueError(
+                    f"connected vehicles must be in every frame: {row} of {scene.name!r} is not in {frame}"
+                )
             mounts.append(Mount(job, agent, x, y, float(scene.size[row, 2]) + ROOF, yaw, row))
     return mounts
 
 
 def _rsu_mounts(jobs: Sequence[tuple[Scene, int]]) -> list[Mount]:
     return [
-        Mount(job, scene.n_connected, *map(float, scene.rsu), yaw=0.0, vehicle=-1)
+        Mount(job, scene.n_connected, *scene.rsu.tolist())
         for job, (scene, _) in enumerate(jobs)
         if scene.rsu is not None
     ]
 
 
 def prisms(scene: Scene, frame: int) -> tuple[Float[np.ndarray, "B 6"], Int[np.ndarray, " B"]]:
-    """All that reflects in one frame, as (x, y, yaw, length, width, height), and whose it is: vehicle row, or M for an obstacle.
+    """All that reflects in one frame, as (x, y, yaw, length, width, height), and whose it is.
 
-    A car is its body up to `BODY_HEIGHT` of its height and a shorter, narrower cabin up to the roof.
+    Owners are vehicle rows, and M for an obstacle. A car is its body up to `BODY_HEIGHT` of its height and a shorter, narrower cabin up to the roof.
     """
     row = np.flatnonzero(~np.isnan(scene.pose[frame, :, 0]))
     whole = np.concatenate([scene.pose[frame, row], scene.size[row]], axis=1)
@@ -253,36 +260,41 @@ def _cross(
 def trace(
     jobs: Sequence[tuple[Scene, int]], mounts: Sequence[Mount], spec: LidarSpec, device: torch.device | str = "cpu"
 ) -> tuple[Float[Tensor, "S Az Be"], Int[Tensor, "S Az Be"]]:
-    """What every ray meets first, without noise: the horizontal distance (m, infinite if nothing is in range) and whose it is.
+    """What every ray meets first, without noise: its horizontal distance (m, infinite if beyond range) and its owner.
 
-    Owners are vehicle rows, M for an obstacle, M + 1 for the ground, M + 2 for nothing, where M is the largest number of
-    vehicles among the jobs' scenes.
+    Owners are vehicle rows, M for an obstacle of a scene of M vehicles, and `GROUND` or `NOTHING`.
     """
     directions = torch.from_numpy(_directions(mounts, spec.azimuths)).to(device)
-    n_vehicles = max(len(scene.size) for scene, _ in jobs)
     pairs = _pairs(jobs, mounts, spec.max_range)
     which, column, enter, leave = _cross(pairs, mounts, directions, spec.azimuths)
-    slope = torch.tensor([math.tan(math.radians(e)) for e in spec.elevations], dtype=torch.float32, device=device)
+    slope, slant = _beams(spec, directions.device)
     height = torch.tensor([m.z for m in mounts], dtype=torch.float32, device=device)
     ground = torch.where(slope < 0, -height[:, None] / slope, math.inf)  # [S, Be]
-    nearest = _pack(ground, torch.full_like(ground, n_vehicles + 1, dtype=torch.int64))
+    nearest = _pack(ground, torch.full_like(ground, GROUND, dtype=torch.int64))
     nearest = nearest[:, None].repeat(1, spec.azimuths, 1)
     above = torch.from_numpy(pairs.top).to(device).float()[which] - height[column // spec.azimuths]
-    distance = _meet(enter.float()[:, None], leave.float()[:, None], above[:, None], slope)
-    crossing, beam = distance.isfinite().nonzero(as_tuple=True)
-    owner = torch.from_numpy(pairs.owner).to(device)[which[crossing]]
-    nearest.view(-1).scatter_reduce_(
-        0, column[crossing] * len(slope) + beam, _pack(distance[crossing, beam], owner), "amin"
-    )
-    met = (nearest >> 32).to(torch.int32).view(torch.float32)
-    in_range = met * torch.sqrt(1 + slope * slope) <= spec.max_range
-    return torch.where(in_range, met, math.inf), torch.where(in_range, nearest & 0xFFFFFFFF, n_vehicles + 2)
+    distance = _meet(enter.float()[:, None], leave.float()[:, None], above[:, None], slope).view(-1)
+    met = (distance < math.inf).nonzero()[:, 0]
+    crossing, beam = met // len(slope), met % len(slope)
+    owner = torch.from_numpy(pairs.owner).to(device)[which]
+    ray = column[crossing] * len(slope) + beam
+    nearest.view(-1).scatter_reduce_(0, ray, _pack(distance[met], owner[crossing]), "amin")
+    distance = (nearest >> 32).int().view(torch.float32)
+    in_range = distance * slant <= spec.max_range
+    return torch.where(in_range, distance, math.inf), torch.where(in_range, nearest & 0xFFFFFFFF, NOTHING)
+
+
+def _beams(spec: LidarSpec, device: torch.device) -> tuple[Float[Tensor, " Be"], Float[Tensor, " Be"]]:
+    """Of each beam, metres up and metres along the ray for each horizontal metre."""
+    angle = [math.radians(e) for e in spec.elevations]
+    slope = torch.tensor([math.tan(a) for a in angle], dtype=torch.float32, device=device)
+    return slope, torch.tensor([1 / math.cos(a) for a in angle], dtype=torch.float32, device=device)
 
 
 def _meet(
     enter: Float[Tensor, "R 1"], leave: Float[Tensor, "R 1"], above: Float[Tensor, "R 1"], slope: Float[Tensor, " Be"]
 ) -> Float[Tensor, "R Be"]:
-    """The horizontal distance at which each beam meets a prism whose top is `above` m over the sensor; infinite if it does not.
+    """The horizontal distance at which each beam meets a prism whose top is `above` m over the sensor; else infinite.
 
     A beam reaches the height of the top at distance above / slope. One that descends is over the top before that and
     strikes whatever lies beyond; one that climbs is over it afterwards.
@@ -294,53 +306,49 @@ def _meet(
 
 
 def _pack(distance: Tensor, owner: Tensor) -> Int[Tensor, " *n"]:
-    """Distance and owner in one integer that sorts by distance, then owner (the bits of positive floats sort as they do)."""
+    """One integer that sorts by distance, then owner: the bits of positive floats sort as the floats do."""
     return (distance.contiguous().view(torch.int32).to(torch.int64) << 32) | owner
 
 
 def _sweep(
     jobs: Sequence[tuple[Scene, int]], mounts: Sequence[Mount], spec: LidarSpec, device: torch.device
 ) -> Iterator[Sweep]:
+    """The mounts' sweeps, in their order: what is met, with noise along the ray, less what drops out."""
     distance, owner = trace(jobs, mounts, spec, device)
-    shape = distance.shape
-    slant = torch.tensor([1 / math.cos(math.radians(e)) for e in spec.elevations], dtype=torch.float32, device=device)
-    rise = torch.tensor([math.sin(math.radians(e)) for e in spec.elevations], dtype=torch.float32, device=device)
+    slope, slant = _beams(spec, device)
     seeds = torch.tensor([_seed(jobs[m.job], m.agent) for m in mounts], device=device)
-    jitter, lot = _noise(seeds, shape[1] * shape[2])
-    far = distance * slant / spec.max_range
-    kept = (lot.view(shape) >= spec.dropout + spec.far_dropout * far * far) & distance.isfinite()
-    sensor, azimuth, beam = kept.nonzero(as_tuple=True)
-    stretch = distance[kept] + spec.range_noise * jitter.view(shape)[kept] / slant[beam]
-    directions = torch.from_numpy(_directions(mounts, spec.azimuths)).to(device).float()[sensor, azimuth]
-    height = torch.tensor([m.z for m in mounts], dtype=torch.float32, device=device)[sensor]
-    points = torch.cat([directions * stretch[:, None], (height + stretch * slant[beam] * rise[beam])[:, None]], dim=1)
-    sizes = torch.bincount(sensor, minlength=len(mounts)).tolist()
-    parts = zip(mounts, points.cpu().split(sizes), owner[kept].cpu().split(sizes), strict=True)
-    for mount, own_points, own_owner in parts:
+    jitter, lot = _noise(seeds, distance[0].numel())
+    far = distance * (slant / spec.max_range)
+    kept = lot.view(far.shape) >= spec.dropout + spec.far_dropout * far * far  # infinitely far is never kept
+    index = kept.view(-1).nonzero()[:, 0]
+    along = distance + jitter.view(far.shape) * (spec.range_noise / slant)
+    directions = torch.from_numpy(_directions(mounts, spec.azimuths)).to(device).float()
+    height = torch.tensor([m.z for m in mounts], dtype=torch.float32, device=device)
+    x, y, z = along * directions[..., :1], along * directions[..., 1:], height[:, None, None] + along * slope
+    points = torch.stack([x.view(-1)[index], y.view(-1)[index], z.view(-1)[index]], dim=1).cpu()
+    sizes = kept.sum((1, 2)).tolist()
+    owners = owner.view(-1)[index].cpu().split(sizes)
+    for mount, own_points, own_owner in zip(mounts, points.split(sizes), owners, strict=True):
         n_vehicles = len(jobs[mount.job][0].size)
-        hits = torch.bincount(own_owner, minlength=n_vehicles)[:n_vehicles]
+        hits = torch.bincount(own_owner[own_owner < n_vehicles], minlength=n_vehicles)
         yield Sweep(own_points.numpy(), mount.origin, hits.numpy())
 
 
 def _seed(job: tuple[Scene, int], agent: int) -> int:
-    """A signed 63-bit number for the noise of one sensor in one frame of one scene."""
+    """63 bits for the noise of one sensor in one frame of one scene."""
     scene, frame = job
     return crc32(f"{frame}/{agent}".encode()) << 31 ^ crc32(scene.name.encode())
 
 
 def _noise(seeds: Int[Tensor, " S"], rays: int) -> tuple[Float[Tensor, "S R"], Float[Tensor, "S R"]]:
-    """For every ray of every sensor: a draw of mean 0 and deviation 1 (three uniforms summed) and one uniform in [0, 1).
+    """For every ray: a draw of mean 0 and deviation 1 (three uniforms, summed) and one uniform in [0, 1).
 
-    Four 16-bit draws of a splitmix64 hash of (seed, ray). Only additions and multiplications: the same on any device.
+    Four 16-bit draws from a hash of (seed, ray), mixed as in splitmix64 but for shifts that keep the sign. Integer
+    arithmetic only: the same on any device.
     """
-    z = seeds[:, None] * 0x2545F4914F6CDD1D + torch.arange(1, rays + 1, device=seeds.device) * -0x61C8864680B583EB
-    z = (z ^ _shift(z, 30)) * -0x40A7B892E31B1A47
-    z = (z ^ _shift(z, 27)) * -0x6B2FB644ECCEEE15
-    z = z ^ _shift(z, 31)
-    total = (z & 0xFFFF) + (_shift(z, 16) & 0xFFFF) + (_shift(z, 32) & 0xFFFF)
-    return (total - 98302.5).float() * (2 / 65536), _shift(z, 48).float() / 65536
-
-
-def _shift(z: Int[Tensor, " *n"], bits: int) -> Int[Tensor, " *n"]:
-    """Logical shift to the right of a signed 64-bit integer."""
-    return (z >> bits) & ((1 << (64 - bits)) - 1)
+    z = seeds[:, None] + torch.arange(1, rays + 1, device=seeds.device) * -0x61C8864680B583EB
+    z = (z ^ (z >> 30)) * -0x40A7B892E31B1A47
+    z = (z ^ (z >> 27)) * -0x6B2FB644ECCEEE15
+    z = z ^ (z >> 31)
+    total = (z & 0xFFFF) + ((z >> 16) & 0xFFFF) + ((z >> 32) & 0xFFFF)
+    return total.float() * (2 / 65536) - 3.0, ((z >> 48) & 0xFFFF).float() * (1 / 65536)

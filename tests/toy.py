@@ -44,7 +44,9 @@ PARKED = (
 BUILDINGS = tuple((sx * 20.0, sy * 16.0, 0.0, 24.0, 16.0, 9.0) for sx in (-1, 1) for sy in (-1, 1))
 
 
-def toy_scene(*, name: str = "toy-0", n_frames: int = 12, n_connected: int = 5, rsu: bool = True, yaw: float = 0.0) -> Scene:
+def toy_scene(
+    *, name: str = "toy-0", n_frames: int = 12, n_connected: int = 5, rsu: bool = True, yaw: float = 0.0
+) -> Scene:
     """A crossing with `n_connected` (1 to 8) connected vehicles, turned by `yaw` about the origin.
 
     The connected vehicles are rows 0, 1, …; driving vehicles without a radio and parked ones follow.

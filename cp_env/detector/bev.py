@@ -30,7 +30,7 @@ class BevSpec:
 
     def __post_init__(self) -> None:
         if self.cell <= 0 or self.extent <= 0 or (2 * self.extent / self.cell) % 1:
-            raise ValueError(f"the grid must be a whole number of cells wide: got extent {self.extent}, cell {self.cell}")
+            raise ValueError(f"2 * extent must be a whole number of cells: got extent {self.extent}, cell {self.cell}")
         if list(self.edges) != sorted(set(self.edges)):
             raise ValueError(f"edges must rise: got {self.edges}")
 
