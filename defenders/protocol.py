@@ -69,7 +69,7 @@ class Frame(Protocol):
         ...
 
     def similarity(self, a: View, b: View) -> float:
-        """Jaccard similarity of two views' boxes, PRBI Eq. (5), in [0, 1]; the older view is moved by the ego's motion."""
+        """Jaccard similarity of two views' boxes, PRBI Eq. (5), in [0, 1]; the ego's own motion is taken out first."""
         ...
 
     def agreement(self, a: View, b: View) -> float:
@@ -95,5 +95,5 @@ class Defender(ABC):
         """Judge one frame. Yield queries, receive one view per group in order, return the verdict."""
 
     def belief(self) -> np.ndarray:
-        """Probability that each vehicle lies, shape (n_vehicles,), for white-box attackers and plots. Zeros if it has none."""
+        """Probability that each vehicle lies, shape (n_vehicles,), for plots and white-box attackers; or empty."""
         return np.zeros(0)

@@ -1,0 +1,58 @@
+"""Similarity thresholds ε: one for every group, or one for each size of group.
+
+A view of few vehicles resembles the reference less than a view of many, liars or not, so one ε lets large groups with
+a liar pass or small honest ones fail. `thresholds.json` holds a threshold per group size, calibrated on clean and
+attacked calibration scenes:
+
+    {"source": "which scenes and detector", "command": "the command that wrote this file",
+     "epsilon": {"1": 0.30, "2": 0.41, "3": 0.47}}
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+
+CALIBRATED = Path(__file__).with_name("thresholds.json")
+
+
+class Thresholds:
+    """ε for a group of a given size. A group larger than any calibrated one gets the threshold of the largest."""
+
+    def __init__(self, epsilon: Mapping[int, float]) -> None:
+        """Sizes must run from 1 without a gap and every ε lie in [0, 1]; ValueError otherwise."""
+        sizes = sorted(epsilon)
+        if not sizes or sizes != list(range(1, len(sizes) + 1)):
+            raise ValueError(
+                f"thresholds must name every group size from 1 on, got sizes {sizes}; add the missing ones"
+            )
+        for size in sizes:
+            if not 0 <= epsilon[size] <= 1:
+                raise ValueError(f"a threshold is a Jaccard similarity in [0, 1], got {epsilon[size]} for size {size}")
+        self.epsilon = {size: float(epsilon[size]) for size in sizes}
+
+    def __call__(self, group: frozenset[int]) -> float:
+        return self.epsilon[min(len(group), len(self.epsilon))]
+
+
+def open_thresholds(threshold: str | Mapping[int, float], epsilon: float) -> Thresholds:
+    """`"paper"`: `epsilon` for every size; `"calibrated"`: the shipped file; or a mapping from size to ε."""
+    if isinstance(threshold, Mapping):
+        return Thresholds({int(size): value for size, value in threshold.items()})
+    if threshold == "paper":
+        return Thresholds({1: epsilon})
+    if threshold == "calibrated":
+        return read_thresholds(CALIBRATED)
+    raise ValueError(f'threshold must be "paper", "calibrated" or a mapping from group size to ε, got {threshold!r}')
+
+
+def read_thresholds(path: Path) -> Thresholds:
+    """Read a thresholds file; ValueError naming the file where it is missing or broken."""
+    try:
+        table = json.loads(path.read_text(encoding="utf-8"))["epsilon"]
+        return Thresholds({int(size): float(value) for size, value in table.items()})
+    except FileNotFoundError as error:
+        raise ValueError(f"no calibrated thresholds at {path}; pass a mapping from group size to ε") from error
+    except (json.JSONDecodeError, KeyError, TypeError, AttributeError, ValueError) as error:
+        raise ValueError(f"broken thresholds file {path}: {error!r}; restore it or pass a mapping") from error
