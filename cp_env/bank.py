@@ -1,0 +1,205 @@
+"""The scene bank: every scene is encoded once and kept as half-precision memory maps in the user's cache directory.
+
+The cache key is a hash over the scene source and the detector's weights, so a stale entry cannot be read; deleting the
+directory loses nothing but time. Processes share the files: each writes under a name of its own and then renames.
+Set the environment variable `CP_ENV_CACHE` to keep the cache elsewhere.
+"""
+
+from __future__ import annotations
+
+import os
+import uuid
+from collections import OrderedDict
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from tqdm import tqdm
+
+from cp_env.detector import Detector
+from cp_env.detector.decoder import Dense
+from cp_env.truth import truth_boxes
+from cp_env.types import Scene, SceneSource, View
+
+CHUNK = 10
+"""Frames ray-cast and encoded together; bounds the memory of a first visit."""
+
+KEPT = 64
+"""Episodes whose clean views stay in memory; a hundred frames take about 8 MB."""
+
+
+def cache_directory() -> Path:
+    """Where encoded scenes are kept."""
+    override = os.environ.get("CP_ENV_CACHE")
+    if override:
+        return Path(override)
+    import platformdirs
+
+    return Path(platformdirs.user_cache_dir("cp_env"))
+
+
+@dataclass(frozen=True, eq=False)
+class Episode:
+    """One scene as N vehicles live it: maps 0..n-1 are the first n connected vehicles, the road-side unit's is the last.
+
+    The ego frame of frame t is the grid frame of map 0 at t.
+    """
+
+    scene: Scene
+    features: tuple[Float[np.ndarray, "T C H W"], ...]  # f_E of each map's sweeps, sender's grid frame
+    received: tuple[Float[np.ndarray, "T C H W"], ...]  # the same, warped to the ego frame
+    ego_T_sender: Float[Tensor, "T N 3"]  # m, m, rad
+    coverage: Float[Tensor, "T N H W"]
+    clean: Dense  # everyone fused, nobody lying; half precision, T views
+    clean_views: tuple[View, ...]
+    truth: tuple[Float[np.ndarray, "L 5"], ...]  # strict: every vehicle in range, seen or hidden; ego frame
+
+    def maps(self, name: str, frame: int) -> Float[Tensor, "N C H W"]:
+        """`features` or `received` of one frame, single precision."""
+        stack = np.stack([maps[frame] for maps in getattr(self, name)])
+        return torch.from_numpy(stack).float()
+
+
+class SceneBank:
+    """Encoded episodes of one source under one detector.
+
+    Raises ValueError when a scene holds fewer connected vehicles than asked for, or no road-side unit where one is wanted.
+    """
+
+    def __init__(
+        self, source: SceneSource, detector: Detector, root: Path | None = None, progress: bool = True
+    ) -> None:
+        self.source, self.detector, self.progress = source, detector, progress
+        self.root = (root or cache_directory()) / f"{source.digest}-{detector.digest}"
+        self._episodes: OrderedDict[tuple[str, int, bool], Episode] = OrderedDict()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_episodes": OrderedDict()}
+
+    def episode(self, name: str, n_vehicles: int, rsu: bool) -> Episode:
+        """The episode of scene `name`, encoded now if nobody has before (with a progress bar)."""
+        key = (name, n_vehicles, rsu)
+        if key not in self._episodes:
+            self._episodes[key] = self._build(name, n_vehicles, rsu)
+        self._episodes.move_to_end(key)
+        while len(self._episodes) > KEPT:
+            self._episodes.popitem(last=False)
+        return self._episodes[key]
+
+    def _build(self, name: str, n_vehicles: int, rsu: bool) -> Episode:
+        scene = self.source.load(name)
+        agents = self._agents(scene, n_vehicles, rsu)
+        self._ensure(scene, agents)
+        poses = torch.from_numpy(self._poses(scene, agents))
+        features = tuple(self._open(scene, "features", agent) for agent in agents)
+        received = tuple(self._open(scene, "received", agent) for agent in agents)
+        coverage = self.detector.coverage(poses)
+        clean, views = self._clean(scene, received, coverage)
+        truth = tuple(
+            truth_boxes(scene, t, int(scene.connected[0]), self.detector.extent) for t in range(scene.n_frames)
+        )
+        return Episode(scene, features, received, poses, coverage, clean, views, truth)
+
+    def _agents(self, scene: Scene, n_vehicles: int, rsu: bool) -> list[int]:
+        """Rows of a frame's sweeps: the first n connected vehicles, then the road-side unit."""
+        if n_vehicles > scene.n_connected:
+            raise ValueError(
+                f"n_vehicles = {n_vehicles}, but scene {scene.name!r} holds only {scene.n_connected} connected vehicles; "
+                "lower n_vehicles or choose other scenes"
+            )
+        if rsu and scene.rsu is None:
+            raise ValueError(f"scene {scene.name!r} has no road-side unit; use rsu=False or choose other scenes")
+        return [*range(n_vehicles), *([scene.n_connected] if rsu else [])]
+
+    def _poses(self, scene: Scene, agents: list[int]) -> Float[np.ndarray, "T N 3"]:
+        """ego_T_sender: grid frames are parallel to the world's, so only the translation differs."""
+        sensors = scene.pose[:, scene.connected, :2]
+        if scene.rsu is not None:
+            mast = np.broadcast_to(scene.rsu[:2], (scene.n_frames, 1, 2))
+            sensors = np.concatenate([sensors, mast], axis=1)
+        shift = sensors[:, agents] - sensors[:, :1]
+        return np.concatenate([shift, np.zeros_like(shift[..., :1])], axis=-1).astype(np.float32)
+
+    def _path(self, scene: Scene, kind: str, agent: int) -> Path:
+        return self.root / scene.name / f"{kind}-{agent}.npy"
+
+    def _open(self, scene: Scene, kind: str, agent: int) -> Float[np.ndarray, "T C H W"]:
+        path = self._path(scene, kind, agent)
+        shape = (scene.n_frames, self.detector.channels, self.detector.size, self.detector.size)
+        try:
+            maps: np.ndarray = np.load(path, mmap_mode="r", allow_pickle=False)
+            if maps.shape != shape or maps.dtype != np.float16:
+                raise ValueError(f"it holds {maps.dtype} {maps.shape}, not float16 {shape}")
+        except (ValueError, OSError, EOFError) as error:
+            raise ValueError(f"broken cache file {path}: {error}; delete it, it will be made again") from error
+        return maps
+
+    def _ensure(self, scene: Scene, agents: list[int]) -> None:
+        """Encode and warp those agents whose files are not there."""
+        missing = [a for a in agents if not self._path(scene, "received", a).exists()]
+        if not missing:
+            return
+        detector = self.detector
+        shape = (scene.n_frames, detector.channels, detector.size, detector.size)
+        made = {(kind, a): np.empty(shape, np.float16) for kind in ("features", "received") for a in missing}
+        poses = torch.from_numpy(self._poses(scene, missing if 0 in missing else [0, *missing])[:, -len(missing) :])
+        starts = range(0, scene.n_frames, CHUNK)
+        for start in tqdm(starts, f"encoding {scene.name}", leave=False, disable=not self.progress, unit_scale=CHUNK):
+            frames = range(start, min(start + CHUNK, scene.n_frames))
+            sweeps = self.source.sweeps(scene, frames)
+            with torch.inference_mode():
+                flat = detector.encode([sweeps[f][a] for f in range(len(frames)) for a in missing])
+                maps = flat.reshape(len(frames), len(missing), *flat.shape[1:])
+                warped = detector.warp(maps, poses[frames.start : frames.stop].to(maps.device))
+            for column, agent in enumerate(missing):
+                made["features", agent][frames.start : frames.stop] = maps[:, column].cpu().numpy()
+                made["received", agent][frames.start : frames.stop] = warped[:, column].cpu().numpy()
+        for (kind, agent), array in made.items():  # "features" first: its presence is implied by "received"
+            self._write(self._path(scene, kind, agent), array)
+
+    def _write(self, path: Path, array: np.ndarray) -> None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        draft = path.with_name(f".{path.stem}-{uuid.uuid4().hex}.npy")
+        np.save(draft, array, allow_pickle=False)
+        os.replace(draft, path)
+
+    def _clean(
+        self, scene: Scene, received: tuple[np.ndarray, ...], coverage: Float[Tensor, "T N H W"]
+    ) -> tuple[Dense, tuple[View, ...]]:
+        """What the ego would see in every frame if nobody lied."""
+        everyone = torch.ones(1, len(received), dtype=torch.bool)
+        group, views, logits, boxes = frozenset(range(len(received))), [], [], []
+        for t in range(scene.n_frames):
+            maps = torch.from_numpy(np.stack([m[t] for m in received])).float()[None]
+            with torch.inference_mode():
+                dense = self.detector.perceive(maps, coverage[t : t + 1], torch.zeros(1, dtype=torch.long), everyone)
+                views += make_views(self.detector, dense, [group], [t], [ego_origin(scene, t)])
+            logits.append(dense.logits.half())
+            boxes.append(dense.boxes.half())
+        return Dense(torch.cat(logits).clone(), torch.cat(boxes).clone()), tuple(views)
+
+
+def ego_origin(scene: Scene, frame: int) -> Float[np.ndarray, " 2"]:
+    """Where the ego's grid frame lies in the world; m."""
+    return scene.pose[frame, scene.connected[0], :2]
+
+
+def make_views(
+    detector: Detector,
+    dense: Dense,
+    groups: list[frozenset[int]],
+    frames: list[int],
+    origins: list[Float[np.ndarray, " 2"]],
+) -> list[View]:
+    """Detections and score map of each row of `dense`, as the opaque views that defenders compare."""
+    score_maps = dense.scores.detach().cpu().numpy()
+    return [
+        View(group, frame, origin, found, found.above(detector.threshold), score_map)
+        for group, frame, origin, found, score_map in zip(
+            groups, frames, origins, detector.detect(dense), score_maps, strict=True
+        )
+    ]

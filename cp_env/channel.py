@@ -1,0 +1,30 @@
+"""The channel: where agents act, and the only place. F_i + δ_i with ‖δ_i‖ ≤ Δ, before the warp (PRBI Eq. 1)."""
+
+from __future__ import annotations
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+NORMS = ("linf", "l2")
+
+
+def norm_of(delta: Float[Tensor, "*n C H W"], norm: str) -> Float[Tensor, "*n"]:
+    """‖δ‖ of every map: the largest entry ("linf") or the Euclidean length over all entries ("l2")."""
+    return delta.flatten(-3).norm(p=float("inf") if norm == "linf" else 2.0, dim=-1)
+
+
+def project(delta: Float[Tensor, "*n C H W"], budget: float, norm: str) -> Float[Tensor, "*n C H W"]:
+    """The nearest perturbation with ‖δ‖ ≤ Δ: clipped ("linf") or shortened ("l2")."""
+    if norm == "linf":
+        return delta.clamp(-budget, budget)
+    length = norm_of(delta, norm)[..., None, None, None]
+    return delta * (budget / length.clamp(min=budget)) if budget > 0 else torch.zeros_like(delta)
+
+
+def inject(
+    received: Float[Tensor, "E N C H W"], warped: Float[Tensor, "E k C H W"], attackers: Int[Tensor, "E k"]
+) -> Float[Tensor, "E N C H W"]:
+    """What the ego holds once the liars' warped perturbations are added to their rows; differentiable in `warped`."""
+    index = attackers[..., None, None, None].expand_as(warped)
+    return received.scatter_add(1, index, warped)

@@ -1,0 +1,318 @@
+"""E worlds stepped together: transmit, perceive, verify, output. One environment is E = 1."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+import defenders
+from cp_env import channel, similarity
+from cp_env.bank import Episode, SceneBank, ego_origin, make_views
+from cp_env.detector import Detector, load_detector
+from cp_env.detector.decoder import Dense
+from cp_env.scenes import open_source
+from cp_env.settings import Settings
+from cp_env.types import SceneSource, View
+from cp_env.verification import DefenderError, Frame, Judgement, Pair, judge
+from defenders.protocol import Defender, Verdict
+
+Seed = int | np.random.SeedSequence | None
+
+
+@dataclass(frozen=True, eq=False)
+class Situation:
+    """The current frame before anyone acts: all that a white-box attacker may know. First axis: worlds."""
+
+    features: Callable[[], Float[Tensor, "E N C H W"]]  # encoded maps, sender frames; read on demand
+    received: Float[Tensor, "E N C H W"]  # the same in the ego frame, nobody lying yet
+    coverage: Float[Tensor, "E N H W"]
+    ego_T_sender: Float[Tensor, "E N 3"]  # m, m, rad
+    clean: Dense  # the decoder's output with everyone fused and nobody lying
+    attackers: Int[Tensor, "E k"]
+    fused: Bool[
+        Tensor, "E N"
+    ]  # whom the ego is expected to fuse: all, until a verdict that has converged leaves some out
+    active: Bool[Tensor, " E"]  # False in grace frames: perturbations are dropped
+    frame: Int[np.ndarray, " E"]  # since the episode began
+    budget: float  # Δ
+    norm: str
+    detector: Detector
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """One frame of every world, after the defenders judged it. Sequences and first axes run over worlds."""
+
+    frame: Int[np.ndarray, " E"]
+    seen: tuple[View, ...]  # everyone fused, liars included
+    clean: tuple[View, ...]  # everyone fused, as it would have been without lies
+    judgements: tuple[Judgement, ...]
+    truth: tuple[Float[np.ndarray, "L 5"], ...]
+    similarity: Float[np.ndarray, " E"]  # Eq. (5) of `seen` to the previous output; 1 in the first frame
+    damage: Float[np.ndarray, " E"]  # 1 - Jaccard(output, clean)
+    perturbation_norm: Float[np.ndarray, "E k"]
+    attackers: Int[np.ndarray, "E k"]
+    truncated: Bool[np.ndarray, " E"]
+
+    @property
+    def output(self) -> tuple[View, ...]:
+        """What the ego acts on."""
+        return tuple(judgement.output for judgement in self.judgements)
+
+    @property
+    def verdicts(self) -> tuple[Verdict, ...]:
+        return tuple(judgement.verdict for judgement in self.judgements)
+
+    @property
+    def verifications(self) -> Int[np.ndarray, " E"]:
+        return np.array([judgement.verifications for judgement in self.judgements])
+
+    @property
+    def errors(self) -> tuple[str | None, ...]:
+        """Why a world's defender failed in this frame; None where it did not."""
+        return tuple(judgement.error for judgement in self.judgements)
+
+
+@dataclass(eq=False)
+class _State:
+    """One world between frames."""
+
+    seeds: np.random.SeedSequence
+    defender: Defender
+    scene: str = ""
+    start: int = 0
+    frame: int = 0  # since the episode began
+    attackers: tuple[int, ...] = ()
+    output: View | None = None
+    verdict: Verdict | None = None
+    error: str | None = None
+
+
+class World:
+    """E worlds: scene, liars, channel, the ego's detector and one defender each.
+
+    `defender` is a name, an object (copied for every world) or a factory; `scenes` a name or a `SceneSource`. All other
+    knobs are those of `cp_env.parallel_env`. Seeds: one `SeedSequence` a world, spawned at every reset for the scene, the
+    draw of liars and the defender, so a world's trajectory does not depend on its neighbours.
+    """
+
+    def __init__(
+        self,
+        num_envs: int,
+        *,
+        defender: str | Defender | Callable[[], Defender] = "prbi",
+        scenes: str | SceneSource = "town",
+        device: str = "cpu",
+        detector: Detector | None = None,
+        bank: SceneBank | None = None,
+        settings: Settings | None = None,
+        **knobs: Any,
+    ) -> None:
+        if num_envs < 1:
+            raise ValueError(f"num_envs must be at least 1, not {num_envs}")
+        self.settings = replace(settings, **knobs) if settings else Settings(**knobs)
+        if bank is None:
+            bank = SceneBank(open_source(scenes), detector or load_detector(self.settings.fusion, device))
+        self.num_envs, self.bank, self.detector = num_envs, bank, bank.detector
+        self.device = torch.device(device)
+        prototype = defenders.make(defender)
+        self._worlds = [_State(np.random.SeedSequence(), copy.deepcopy(prototype)) for _ in range(num_envs)]
+        self._everyone = frozenset(range(self.settings.n_maps))
+        self._situation: Situation | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_situation": None}  # rebuilt from the bank
+
+    # -- episodes ------------------------------------------------------------------------------------------------
+
+    def reset(
+        self,
+        seeds: Sequence[Seed] | None = None,
+        worlds: Sequence[int] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> None:
+        """Begin a new episode in `worlds` (all by default). A seed of None goes on with that world's own stream.
+
+        `options` may fix the "scene" (a name) and the "start" (first frame of the scene); else both are drawn.
+        """
+        worlds = range(self.num_envs) if worlds is None else worlds
+        for e, seed in zip(worlds, seeds or [None] * len(worlds), strict=True):
+            self._begin(self._worlds[e], seed, options or {})
+        self._situation = None
+
+    def _begin(self, state: _State, seed: Seed, options: dict[str, Any]) -> None:
+        if seed is not None:
+            state.seeds = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
+        place, draw, mind = (np.random.default_rng(child) for child in state.seeds.spawn(3))
+        names = self.bank.source.names()
+        state.scene = str(options.get("scene", names[place.integers(len(names))]))
+        spare = self._episode(state).scene.n_frames - self.settings.max_frames
+        state.start = int(options.get("start", place.integers(max(spare, 0) + 1)))
+        if not 0 <= state.start < self._episode(state).scene.n_frames:
+            raise ValueError(f"start must be a frame of scene {state.scene!r}, not {state.start}")
+        settings = self.settings
+        drawn = draw.choice(settings.n_vehicles, settings.k, replace=False) if settings.attackers is None else ()
+        state.attackers = tuple(sorted(int(i) for i in (settings.attackers or drawn)))
+        state.frame, state.output, state.verdict, state.error = 0, None, None, None
+        tell = getattr(state.defender, "tell", None)  # the oracle alone is told the truth: defenders.bounds
+        if tell is not None:
+            tell(frozenset(state.attackers))
+        try:
+            state.defender.reset(settings.n_maps, mind)
+        except Exception as error:  # a plug-in's failure ends its own episode, with its name
+            raise DefenderError(f"defender {type(state.defender).__name__} failed in reset: {error}") from error
+
+    def _episode(self, state: _State) -> Episode:
+        if not state.scene:
+            raise RuntimeError("call reset() before anything else")
+        return self.bank.episode(state.scene, self.settings.n_vehicles, self.settings.rsu)
+
+    @property
+    def attackers(self) -> Int[np.ndarray, "E k"]:
+        """Numbers of the lying vehicles, ascending."""
+        return np.array([state.attackers for state in self._worlds], dtype=np.int64).reshape(self.num_envs, -1)
+
+    @property
+    def excluded(self) -> Bool[np.ndarray, "E N"]:
+        """Vehicles that the last verdict left out of the fusion."""
+        excluded = np.zeros((self.num_envs, self.settings.n_maps), dtype=bool)
+        for row, state in zip(excluded, self._worlds, strict=True):
+            if state.verdict is not None:
+                row[sorted(self._everyone - state.verdict.collaborators)] = True
+        return excluded
+
+    def _expected(self) -> Bool[np.ndarray, "E N"]:
+        """Whom the ego will look at first: a verdict that has not converged may change, so everyone until then."""
+        converged = [s.verdict is not None and s.verdict.converged for s in self._worlds]
+        return ~(self.excluded & np.array(converged)[:, None])
+
+    @property
+    def defenders(self) -> tuple[Defender, ...]:
+        return tuple(state.defender for state in self._worlds)
+
+    @property
+    def places(self) -> tuple[tuple[Episode, int], ...]:
+        """The episode and the scene's frame that each world is in."""
+        return tuple((self._episode(s), self._now(s)) for s in self._worlds)
+
+    def _now(self, state: _State) -> int:
+        return state.start + state.frame
+
+    # -- frames --------------------------------------------------------------------------------------------------
+
+    def features(self) -> Float[Tensor, "E N C H W"]:
+        """Every vehicle's encoded map of the current frame, in its own grid frame."""
+        return torch.stack([episode.maps("features", t) for episode, t in self.places]).to(self.device)
+
+    def situation(self) -> Situation:
+        """The current frame before anyone acts; computed once a frame."""
+        if self._situation is None:
+            places = self.places
+            self._situation = Situation(
+                features=self.features,
+                received=torch.stack([ep.maps("received", t) for ep, t in places]).to(self.device),
+                coverage=torch.stack([ep.coverage[t] for ep, t in places]).to(self.device),
+                ego_T_sender=torch.stack([ep.ego_T_sender[t] for ep, t in places]).to(self.device),
+                clean=Dense(
+                    torch.stack([ep.clean.logits[t] for ep, t in places]).float().to(self.device),
+                    torch.stack([ep.clean.boxes[t] for ep, t in places]).float().to(self.device),
+                ),
+                attackers=torch.from_numpy(self.attackers).to(self.device),
+                fused=torch.from_numpy(self._expected()).to(self.device),
+                active=torch.tensor([s.frame >= self.settings.grace_frames for s in self._worlds], device=self.device),
+                frame=np.array([s.frame for s in self._worlds]),
+                budget=self.settings.budget,
+                norm=self.settings.norm,
+                detector=self.detector,
+            )
+        return self._situation
+
+    def step(self, delta: Float[Tensor, "E k C H W"]) -> Outcome:
+        """Play one frame: transmit F_i + δ_i, fuse and decode (Eq. 1), let the defenders judge.
+
+        Raises ValueError if δ has the wrong shape or is not finite. A larger δ than the budget allows is projected.
+        """
+        with torch.inference_mode():
+            situation = self.situation()
+            attacked, norms = self._transmit(situation, delta)
+            perceive = self._perceiver(attacked, situation)
+            seen = perceive([(e, self._everyone) for e in range(self.num_envs)])
+            frames = [Frame(s.frame, self.settings.n_maps, v) for s, v in zip(self._worlds, seen, strict=True)]
+            judgements = judge(frames, self.defenders, perceive)
+            outcome = self._outcome(frames, judgements, norms)
+            self._advance(outcome)
+        return outcome
+
+    def _transmit(
+        self, situation: Situation, delta: Float[Tensor, "E k C H W"]
+    ) -> tuple[Float[Tensor, "E N C H W"], Float[np.ndarray, "E k"]]:
+        shape = (*situation.attackers.shape, *situation.received.shape[2:])
+        if tuple(delta.shape) != shape:
+            raise ValueError(f"a perturbation must have shape [E, k, C, H, W] = {shape}, not {tuple(delta.shape)}")
+        if not bool(torch.isfinite(delta).all()):
+            raise ValueError("a perturbation must be finite, but it holds NaN or infinity; check the attacker")
+        delta = channel.project(delta.detach().to(self.device), situation.budget, situation.norm)
+        delta = delta * situation.active[:, None, None, None, None]
+        norms = channel.norm_of(delta, situation.norm).cpu().numpy()
+        if not norms.any():
+            return situation.received, norms
+        index = situation.attackers[..., None].expand(-1, -1, 3)
+        warped = self.detector.warp(delta, situation.ego_T_sender.gather(1, index))
+        return channel.inject(situation.received, warped, situation.attackers), norms
+
+    def _perceiver(
+        self, attacked: Float[Tensor, "E N C H W"], situation: Situation
+    ) -> Callable[[list[Pair]], list[View]]:
+        """The one masked forward that answers any list of (world, group)."""
+
+        def perceive(pairs: list[Pair]) -> list[View]:
+            world = torch.tensor([e for e, _ in pairs], device=self.device)
+            groups = torch.zeros(len(pairs), self.settings.n_maps, dtype=torch.bool)
+            for row, (_, group) in zip(groups, pairs, strict=True):
+                row[sorted(group)] = True
+            dense = self.detector.perceive(attacked, situation.coverage, world, groups.to(self.device))
+            states = [self._worlds[e] for e, _ in pairs]
+            origins = [ego_origin(self._episode(s).scene, self._now(s)) for s in states]
+            return make_views(self.detector, dense, [g for _, g in pairs], [s.frame for s in states], origins)
+
+        return perceive
+
+    def _outcome(self, frames: list[Frame], judgements: list[Judgement], norms: np.ndarray) -> Outcome:
+        places = self.places
+        clean = tuple(episode.clean_views[t] for episode, t in places)
+        last = [
+            1.0 if s.output is None else f.similarity(f.seen, s.output)
+            for f, s in zip(frames, self._worlds, strict=True)
+        ]
+        kept = similarity.jaccard_many([j.output.seen.boxes for j in judgements], [c.seen.boxes for c in clean])
+        over = [
+            s.frame + 1 >= self.settings.max_frames or t + 1 >= episode.scene.n_frames or j.error is not None
+            for s, (episode, t), j in zip(self._worlds, places, judgements, strict=True)
+        ]
+        return Outcome(
+            frame=np.array([s.frame for s in self._worlds]),
+            seen=tuple(f.seen for f in frames),
+            clean=clean,
+            judgements=tuple(judgements),
+            truth=tuple(episode.truth[t] for episode, t in places),
+            similarity=np.array(last, dtype=np.float32),
+            damage=(1.0 - kept).astype(np.float32),
+            perturbation_norm=norms,
+            attackers=self.attackers,
+            truncated=np.array(over),
+        )
+
+    def _advance(self, outcome: Outcome) -> None:
+        """Move every world to its next frame; a world at its end stays on its last frame until it is reset."""
+        for state, judgement, over in zip(self._worlds, outcome.judgements, outcome.truncated, strict=True):
+            state.output, state.verdict, state.error = judgement.output, judgement.verdict, judgement.error
+            if not over:
+                state.frame += 1
+        self._situation = None
