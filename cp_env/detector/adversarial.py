@@ -10,21 +10,18 @@ zero when nothing changed:
     drift  boxes move on object cells: L1 of the regression.
 
 Logits stop counting `MARGIN` beyond the middle: what is already hidden or already a ghost takes no more of the budget
-(the hinge of Carlini and Wagner). Up to there a hidden object counts in logits, not in nats, whose gradient would vanish
-on the objects the detector is surest of.
+(the hinge of Carlini and Wagner). Up to there a hidden object counts in logits, not in nats, whose gradient would
+vanish on the objects that the detector is surest of.
 """
 
 from __future__ import annotations
-
-from typing import TYPE_CHECKING
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional
 
-if TYPE_CHECKING:
-    from cp_env.detector.decoder import Dense
+from cp_env.detector.decoder import Dense
 
 OBJECT_PROBABILITY = 0.2
 """Cells whose clean probability is at least this are object cells, weighted by it."""
@@ -38,7 +35,7 @@ BLOCK = 4
 REACH = 2.0
 """Drift of a box component (m, log m or unit vector) beyond which it counts no more: no overlap is left."""
 
-Weight = float | Float[Tensor, "B"]
+Weight = float | Float[Tensor, " B"]
 
 
 def adversarial_loss(
@@ -49,7 +46,7 @@ def adversarial_loss(
     spoof: Weight = 1.0,
     drift: Weight = 1.0,
     where: Float[Tensor, "B h w"] | None = None,
-) -> Float[Tensor, "B"]:
+) -> Float[Tensor, " B"]:
     """How far `dense` lies from `clean`, for each view; differentiable in `dense`, constant in `clean`.
 
     `hide`, `spoof` and `drift` weigh the three parts, one number or one per view. A negative weight reverses a part.
@@ -80,7 +77,7 @@ def _background(objects: Float[Tensor, "B h w"]) -> Float[Tensor, "B h w"]:
 
 def _ghosts(
     logits: Float[Tensor, "B h w"], background: Float[Tensor, "B h w"], where: Float[Tensor, "B h w"] | None
-) -> Float[Tensor, "B"]:
+) -> Float[Tensor, " B"]:
     """Expected ghosts, in nats: each block counts as its most promising background cells do (log-sum-exp)."""
     floor = torch.finfo(logits.dtype).min / 2
     masked = torch.where(background > 0, logits, torch.full_like(logits, floor))

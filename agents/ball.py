@@ -1,0 +1,72 @@
+"""The balls a perturbation lives in, ‖δ‖ ≤ Δ of PRBI Eq. (1): the norm decides three tiny methods and nothing else.
+
+One δ is one liar's feature map (C, H, W); leading axes are independent balls.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from cp_env import channel
+
+_MAP = (-3, -2, -1)
+
+
+@runtime_checkable
+class Ball(Protocol):
+    def random(self, shape: tuple[int, int, int, int], budget: float, rng: np.random.Generator) -> Tensor:
+        """A random δ (k, C, H, W) in the ball, on the CPU."""
+        ...
+
+    def steepest(self, gradient: Float[Tensor, "*b C H W"]) -> Float[Tensor, "*b C H W"]:
+        """The direction of unit norm that climbs fastest; zero where the gradient is."""
+        ...
+
+    def project(self, delta: Float[Tensor, "*b C H W"], budget: float) -> Float[Tensor, "*b C H W"]:
+        """The nearest point of the ball."""
+        ...
+
+
+class Linf:
+    """Every number at most Δ in size."""
+
+    def random(self, shape: tuple[int, int, int, int], budget: float, rng: np.random.Generator) -> Tensor:
+        return torch.from_numpy(rng.random(shape, dtype=np.float32)).mul_(2 * budget).sub_(budget)
+
+    def steepest(self, gradient: Float[Tensor, "*b C H W"]) -> Float[Tensor, "*b C H W"]:
+        return gradient.sign()
+
+    def project(self, delta: Float[Tensor, "*b C H W"], budget: float) -> Float[Tensor, "*b C H W"]:
+        return channel.project(delta, budget, "linf")
+
+
+class L2:
+    """The whole map at most Δ long."""
+
+    def random(self, shape: tuple[int, int, int, int], budget: float, rng: np.random.Generator) -> Tensor:
+        """Uniform in direction and in length: uniform in volume would put every start on the surface."""
+        direction = torch.from_numpy(rng.standard_normal(shape, dtype=np.float32))
+        length = torch.from_numpy(rng.random((shape[0], 1, 1, 1), dtype=np.float32))
+        return self.project(self.steepest(direction) * length * budget, budget)
+
+    def steepest(self, gradient: Float[Tensor, "*b C H W"]) -> Float[Tensor, "*b C H W"]:
+        norm = torch.linalg.vector_norm(gradient, dim=_MAP, keepdim=True)
+        return gradient / norm.clamp(min=torch.finfo(gradient.dtype).tiny)
+
+    def project(self, delta: Float[Tensor, "*b C H W"], budget: float) -> Float[Tensor, "*b C H W"]:
+        return channel.project(delta, budget, "l2")
+
+
+BALLS: dict[str, Ball] = {"linf": Linf(), "l2": L2()}
+
+
+def make_ball(norm: str) -> Ball:
+    """The ball of a norm's name."""
+    if norm not in BALLS:
+        raise ValueError(f"norm must be one of {sorted(BALLS)}, got {norm!r}")
+    return BALLS[norm]

@@ -1,0 +1,61 @@
+"""Situations without a world: random maps, random poses, a random detector."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import torch
+
+from cp_env.detector import Detector
+from cp_env.world import Situation
+
+CHANNELS = 8
+SIZE = 16  # cells, half the detector's own: a quarter of the work
+
+
+def detector(seed: int = 0) -> Detector:
+    """A small frozen detector whose random decoder is lively enough to be attacked."""
+    with torch.random.fork_rng():
+        torch.manual_seed(seed)
+        model = Detector(channels=CHANNELS)
+        model.size, model.map_size = SIZE, 2 * SIZE
+        with torch.no_grad():
+            model.decoder.head.weight.mul_(30.0)
+            model.decoder.head.bias.zero_()
+    return model.freeze()
+
+
+def situation(
+    model: Detector, n_worlds: int = 2, n_liars: int = 2, n_maps: int = 4, first: int = 0, **overrides: Any
+) -> Situation:
+    """Worlds `first`, `first + 1`, …: each is drawn from its own number alone."""
+    worlds = [_world(e, n_liars, n_maps) for e in range(first, first + n_worlds)]
+    features, pose, attackers = (torch.stack(column) for column in zip(*worlds, strict=True))
+    coverage, received = model.coverage(pose), model.warp(features, pose)
+    everyone = torch.ones(n_worlds, n_maps, dtype=torch.bool)
+    made = Situation(
+        features=lambda: features,
+        received=received,
+        coverage=coverage,
+        ego_T_sender=pose,
+        clean=model.perceive(received, coverage, torch.arange(n_worlds), everyone),
+        attackers=attackers,
+        fused=everyone,
+        active=torch.ones(n_worlds, dtype=torch.bool),
+        frame=np.full(n_worlds, 3),
+        budget=0.3,
+        norm="linf",
+        detector=model,
+    )
+    return replace(made, **overrides)
+
+
+def _world(seed: int, n_liars: int, n_maps: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    rng = np.random.default_rng(seed)
+    features = rng.standard_normal((n_maps, CHANNELS, SIZE, SIZE), dtype=np.float32).clip(0)
+    pose = np.concatenate([rng.uniform(-20, 20, (n_maps, 2)), np.zeros((n_maps, 1))], axis=1).astype(np.float32)
+    pose[0] = 0
+    attackers = np.sort(rng.choice(n_maps, n_liars, replace=False))
+    return torch.from_numpy(features), torch.from_numpy(pose), torch.from_numpy(attackers)

@@ -1,0 +1,154 @@
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+import agents
+from agents import ascent, schedule
+from agents.ascent import Ascent, attack_loss
+from agents.objective import Objective
+from tests.agents import situations
+
+MODEL = situations.detector()
+NORMS = {"linf": 0.3, "l2": 3.0}
+
+
+def _act(name: str, situation: Any, seed: int = 0, **knobs: Any) -> torch.Tensor:
+    attacker = agents.make(name, **knobs)
+    attacker.reset(len(situation.active), np.random.default_rng(seed))
+    return attacker.act(situation)
+
+
+def _loss(situation: Any, delta: torch.Tensor) -> torch.Tensor:
+    return attack_loss(situation, torch.arange(len(delta)), torch.ones_like(situation.fused), Objective())(delta)
+
+
+def _norm(name: str, delta: torch.Tensor) -> torch.Tensor:
+    return delta.abs().amax((-3, -2, -1)) if name == "linf" else delta.flatten(-3).norm(dim=-1)
+
+
+@pytest.mark.parametrize("norm", NORMS)
+def test_gradients_beat_noise_beats_nothing_much(norm: str) -> None:
+    situation = situations.situation(MODEL, n_worlds=4, norm=norm, budget=NORMS[norm])
+    step = {"step_size": NORMS[norm] / 3}
+    loss = {name: _loss(situation, _act(name, situation, **step)) for name in ("pgd", "bim")}
+    noise = _loss(situation, _act("noise", situation))
+    nothing = _loss(situation, _act("none", situation))
+    assert (nothing.abs() < 1e-3).all()
+    for name in loss:
+        assert (loss[name] > 5 * noise).all() and (loss[name] > 0.05).all()
+
+
+@pytest.mark.parametrize("norm", NORMS)
+@pytest.mark.parametrize("name", agents.names())
+def test_every_attacker_stays_in_the_ball(name: str, norm: str) -> None:
+    for budget in (0.01, 0.3, 5.0):
+        delta = _act(name, situations.situation(MODEL, norm=norm, budget=budget))
+        assert delta.shape == (2, 2, situations.CHANNELS, situations.SIZE, situations.SIZE) and delta.dtype == torch.float32
+        assert not delta.requires_grad and torch.isfinite(delta).all()
+        assert (_norm(norm, delta) <= budget * (1 + 1e-6)).all()
+
+
+def test_more_steps_and_more_budget_are_not_weaker_on_average() -> None:
+    situation = situations.situation(MODEL, n_worlds=4)
+    by_steps = [_loss(situation, _act("bim", situation, steps=steps)).mean() for steps in (0, 1, 4, 15)]
+    assert by_steps == sorted(by_steps) and by_steps[-1] > by_steps[1]
+    by_budget = []
+    for budget in (0.03, 0.1, 0.3):
+        situation = situations.situation(MODEL, n_worlds=4, budget=budget)
+        by_budget.append(_loss(situation, _act("bim", situation, step_size=budget / 3)).mean())
+    assert by_budget == sorted(by_budget)
+
+
+@pytest.mark.parametrize("name", agents.names())
+def test_the_same_seed_lies_the_same_and_another_differently(name: str) -> None:
+    situation = situations.situation(MODEL)
+    assert torch.equal(_act(name, situation, seed=0), _act(name, situation, seed=0))
+    if name in ("pgd", "noise"):
+        assert not torch.equal(_act(name, situation, seed=0), _act(name, situation, seed=1))
+
+
+@pytest.mark.parametrize("name", agents.names())
+def test_a_world_in_a_batch_is_attacked_as_alone(name: str) -> None:
+    """The last world of three, with its own stream, against that world alone; its neighbours differ from it."""
+    many = situations.situation(MODEL, n_worlds=3)
+    alone = situations.situation(MODEL, n_worlds=1, first=2)
+    batched, single = agents.make(name), agents.make(name)
+    batched.reset(3, [np.random.default_rng(seed) for seed in (5, 6, 7)])
+    single.reset(1, [np.random.default_rng(7)])
+    for _ in range(2):
+        torch.testing.assert_close(batched.act(many)[2:], single.act(alone), rtol=0, atol=1e-5)
+
+
+@pytest.mark.parametrize("name", agents.names())
+def test_the_victim_is_frozen(name: str) -> None:
+    before = MODEL.digest
+    situation = situations.situation(MODEL)
+    held = {field: getattr(situation, field).clone() for field in ("received", "coverage", "ego_T_sender")}
+    _act(name, situation)
+    assert MODEL.digest == before
+    assert all(parameter.grad is None and not parameter.requires_grad for parameter in MODEL.parameters())
+    assert all(torch.equal(getattr(situation, field), value) for field, value in held.items())
+
+
+@pytest.mark.parametrize("name", ["pgd", "bim"])
+def test_only_liars_with_an_effect_lie(name: str) -> None:
+    fused = torch.ones(4, 4, dtype=torch.bool)
+    situation = situations.situation(MODEL, n_worlds=4, active=torch.tensor([True, False, True, True]), fused=fused)
+    fused[2, situation.attackers[2, 0]] = False
+    fused[3, situation.attackers[3]] = False
+    moved = _norm("linf", _act(name, situation, audience="fused")) > 0
+    assert moved.tolist() == [[True, True], [False, False], [False, True], [False, False]]
+    moved = _norm("linf", _act(name, situation, audience="everyone")) > 0
+    assert moved.tolist() == [[True, True], [False, False], [True, True], [True, True]]
+
+
+def test_a_world_without_targets_costs_no_forward(monkeypatch: pytest.MonkeyPatch) -> None:
+    situation = situations.situation(MODEL, active=torch.zeros(2, dtype=torch.bool))
+    monkeypatch.setattr(ascent, "attack_loss", lambda *_: pytest.fail("nothing is attacked"))
+    assert not _act("pgd", situation).any()
+
+
+def test_schedules_say_when() -> None:
+    frame = np.arange(7)
+    assert schedule.always(frame).all()
+    assert schedule.every(3, start=1)(frame).tolist() == [False, True, False, False, True, False, False]
+    assert schedule.since(5)(frame).tolist() == [False] * 5 + [True] * 2
+    situation = situations.situation(MODEL, frame=np.array([2, 3]))
+    moved = _act("bim", situation, schedule=schedule.every(3)).flatten(1).any(1)
+    assert moved.tolist() == [False, True]
+
+
+def test_the_best_iterate_is_kept() -> None:
+    """With absurdly long steps the last iterate is worse than an earlier one; what is returned is the best seen."""
+    situation = situations.situation(MODEL)
+    values: list[torch.Tensor] = []
+
+    class Spy(Objective):
+        def __call__(self, dense: Any, clean: Any) -> torch.Tensor:
+            value = super().__call__(dense, clean)
+            values.append(value.detach())
+            return value
+
+    delta = _act("bim", situation, steps=9, step_size=0.6, objective=Spy())
+    seen = torch.stack(values)
+    assert len(seen) == 10 and (seen[-1] < seen.amax(0)).any()
+    torch.testing.assert_close(_loss(situation, delta), seen.amax(0))
+
+
+def test_bad_input_says_what_to_do() -> None:
+    with pytest.raises(ValueError, match="known: none, noise, pgd, bim"):
+        agents.make("fgsm")
+    with pytest.raises(ValueError, match="knobs"):
+        agents.make(Ascent(), steps=3)
+    with pytest.raises(ValueError, match="step_size"):
+        agents.make("pgd", step_size=0.0)
+    with pytest.raises(ValueError, match="audience"):
+        agents.make("pgd", audience="nobody")
+    with pytest.raises(ValueError, match="2 worlds, 1 generators"):
+        agents.make("pgd").reset(2, [np.random.default_rng(0)])
+    with pytest.raises(ValueError, match="period"):
+        schedule.every(0)
