@@ -1,0 +1,129 @@
+"""A native Stable-Baselines3 `VecEnv`: every adversary of every world is one environment of SB3's.
+
+Environment i drives slot i mod k of world i div k, so a policy is shared by the liars and paid by the team.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium import Wrapper
+from numpy.typing import NDArray
+from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
+
+from cp_env.game import Game, Infos
+from defenders.protocol import Defender
+
+RENDER_MODES = (None, "rgb_array")
+
+RL_KNOBS: dict[str, Any] = {"observation": "compact"}
+"""What differs from the knobs' defaults: a vector that a small network reads."""
+
+
+def make_vec_env(
+    num_envs: int,
+    defender: str | Defender | Callable[[], Defender] = "prbi",
+    *,
+    render_mode: str | None = None,
+    **knobs: Any,
+) -> AdversaryVecEnv:
+    """`num_envs` worlds of k liars as a VecEnv of `num_envs * k` environments; knobs as in `cp_env.parallel_env`."""
+    return AdversaryVecEnv(Game(num_envs, defender, **(RL_KNOBS | knobs)), render_mode=render_mode)
+
+
+class AdversaryVecEnv(VecEnv):
+    """A `Game` seen by SB3. A world whose episode ends begins a new one in the same step, for all its slots.
+
+    The infos of a last step carry `terminal_observation` and, since nothing ever terminates, `TimeLimit.truncated`.
+    `seed()` and `set_options()` hold for the next `reset()` and are then forgotten; a world takes those of its first slot.
+    """
+
+    def __init__(self, game: Game, *, render_mode: str | None = None) -> None:
+        if render_mode not in RENDER_MODES:
+            raise ValueError(f"render_mode must be one of {RENDER_MODES}, got {render_mode!r}")
+        self.game, self.render_mode, self.n_slots = game, render_mode, len(game.slots)
+        self._actions: NDArray[Any] | None = None
+        super().__init__(game.num_envs * self.n_slots, game.single_observation_space, game.single_action_space)
+        self.render_mode = render_mode
+
+    def reset(self) -> VecEnvObs:
+        """Begin new episodes in all worlds; the observations (n, …), or a dict of them."""
+        first = slice(None, None, self.n_slots)
+        seeds, options = self._seeds[first], self._options[first]
+        if all(option == options[0] for option in options):
+            observations, infos = self.game.reset(seeds, options=options[0])
+        else:
+            for e, (seed, option) in enumerate(zip(seeds, options, strict=True)):
+                observations, infos = self.game.reset([seed], worlds=[e], options=option)
+        self._reset_seeds()
+        self._reset_options()
+        self.reset_infos = self._rows(infos)
+        return self._flat(observations)
+
+    def step_async(self, actions: NDArray[Any]) -> None:
+        """Keep the actions (n, …) for `step_wait`."""
+        self._actions = np.asarray(actions)
+
+    def step_wait(self) -> VecEnvStepReturn:
+        """One frame of every world: observations, rewards (n,), dones (n,) and infos."""
+        if self._actions is None:
+            raise RuntimeError("step_wait() needs the actions of a step_async() before it")
+        actions, self._actions = self._actions, None
+        observations, reward, truncated, infos = self.game.step(
+            actions.reshape(self.game.num_envs, self.n_slots, *self.action_space.shape)  # type: ignore[misc]
+        )
+        dones, rows, flat = np.repeat(truncated, self.n_slots), self._rows(infos), self._flat(observations)
+        over = np.flatnonzero(truncated).tolist()
+        if over:
+            for i in np.flatnonzero(dones):
+                rows[i] |= {"terminal_observation": _row(flat, i), "TimeLimit.truncated": True}
+            observations, infos = self.game.reset([None] * len(over), worlds=over)
+            fresh, flat = self._rows(infos), self._flat(observations)
+            for i in np.flatnonzero(dones):
+                self.reset_infos[i] = fresh[i]
+        return flat, reward.reshape(-1).astype(np.float32), dones, rows
+
+    def close(self) -> None:
+        """Nothing is held open."""
+
+    def get_images(self) -> Sequence[np.ndarray | None]:
+        """One picture a world, in the place of its first slot."""
+        return [self.game.render(i // self.n_slots) if i % self.n_slots == 0 else None for i in range(self.num_envs)]
+
+    def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
+        """The attribute of this object, or else of the game, once for each index."""
+        owner = self if hasattr(self, attr_name) else self.game
+        return [getattr(owner, attr_name) for _ in self._get_indices(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
+        """Set an attribute of this object; the environments share it."""
+        setattr(self, attr_name, value)
+
+    def env_method(self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any) -> list[Any]:
+        """Call a method of the game with each index's world as its last positional argument."""
+        method = getattr(self.game, method_name)
+        return [method(*args, i // self.n_slots, **kwargs) for i in self._get_indices(indices)]
+
+    def env_is_wrapped(self, wrapper_class: type[Wrapper[Any, Any, Any, Any]], indices: VecEnvIndices = None) -> list[bool]:
+        """No gymnasium wrapper can stand between SB3 and the game."""
+        return [False for _ in self._get_indices(indices)]
+
+    def _rows(self, infos: Infos) -> list[dict[str, Any]]:
+        columns = {key: values.reshape(-1).tolist() for key, values in infos.items()}
+        return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+
+    def _flat(self, observations: VecEnvObs) -> VecEnvObs:
+        if isinstance(observations, dict):
+            return {key: value.reshape(-1, *value.shape[2:]) for key, value in observations.items()}
+        assert isinstance(observations, np.ndarray)
+        return observations.reshape(-1, *observations.shape[2:])
+
+
+def _row(observations: VecEnvObs, i: int) -> NDArray[Any] | dict[str, NDArray[Any]]:
+    if isinstance(observations, dict):
+        return {key: value[i].copy() for key, value in observations.items()}
+    assert isinstance(observations, np.ndarray)
+    return np.array(observations[i])
