@@ -187,12 +187,16 @@ def _seed(job: tuple[Scene, int], carrier: int) -> int:
 def _noise(seeds: Int[Tensor, " S"], rays: int) -> tuple[Float[Tensor, "S R"], Float[Tensor, "S R"]]:
     """For every ray: a draw of mean 0 and deviation 1 (three uniforms, summed) and one uniform in [0, 1).
 
-    Four 16-bit draws from a hash of (seed, ray), mixed as in splitmix64 but for shifts that keep the sign. Integer
-    arithmetic only: the same on any device.
+    Four 16-bit draws from a splitmix64 hash of (seed, ray). Integer arithmetic only: the same on any device.
     """
     z = seeds[:, None] + torch.arange(1, rays + 1, device=seeds.device) * -0x61C8864680B583EB
-    z = (z ^ (z >> 30)) * -0x40A7B892E31B1A47
-    z = (z ^ (z >> 27)) * -0x6B2FB644ECCEEE15
-    z = z ^ (z >> 31)
-    total = (z & 0xFFFF) + ((z >> 16) & 0xFFFF) + ((z >> 32) & 0xFFFF)
-    return total.float() * (2 / 65536) - 3.0, ((z >> 48) & 0xFFFF).float() * (1 / 65536)
+    for bits, factor in ((30, -0x40A7B892E31B1A47), (27, -0x6B2FB644ECCEEE15)):
+        z = (z ^ _shift(z, bits)) * factor
+    z = z ^ _shift(z, 31)
+    total = (z & 0xFFFF) + (_shift(z, 16) & 0xFFFF) + (_shift(z, 32) & 0xFFFF)
+    return total.float() * (2 / 65536) - 3.0, _shift(z, 48).float() * (1 / 65536)
+
+
+def _shift(z: Int[Tensor, " *n"], bits: int) -> Int[Tensor, " *n"]:
+    """Shift a 64-bit pattern to the right and fill with zeros: torch has no unsigned shift."""
+    return (z >> bits) & ((1 << (64 - bits)) - 1)
