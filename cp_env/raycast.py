@@ -17,7 +17,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-GROUND, NOTHING = 1 << 30, (1 << 30) + 1  # owners of rays that meet no prism
+GROUND, NOTHING = 1 << 23, (1 << 23) + 1  # owners of rays that meet no prism; exact as 32-bit floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,16 +75,18 @@ def trace(
     pairs = _pairs(worlds, mounts, max_distance)
     which, column, enter, leave = _cross(pairs, directions(mounts, azimuths), device)
     above = torch.from_numpy(pairs.above).to(device).float()[which]
-    owner = torch.from_numpy(pairs.owner).to(device)[which]
+    owner = torch.from_numpy(pairs.owner).to(device).float()[which]
     height = torch.tensor([mount.z for mount in mounts], device=device)
-    ground = torch.where(slope < 0, -height[:, None] / slope, math.inf)
-    nearest = _pack(ground, torch.where(ground < math.inf, GROUND, NOTHING))[:, None].repeat(1, azimuths, 1)
-    distance = _meet(enter.float()[:, None], leave.float()[:, None], above[:, None], slope).view(-1)
-    met = (distance < math.inf).nonzero()[:, 0]
-    crossing, beam = met // len(slope), met % len(slope)
-    ray = column[crossing] * len(slope) + beam
-    nearest.view(-1).scatter_reduce_(0, ray, _pack(distance[met], owner[crossing]), "amin")
-    return (nearest >> 32).int().view(torch.float32), nearest & 0xFFFFFFFF
+    ground = torch.where(slope < 0, -height[:, None] / slope, math.inf).repeat_interleave(azimuths, 0)
+    distance = _meet(enter.float()[:, None], leave.float()[:, None], above[:, None], slope)
+    target = column[:, None].expand_as(distance)
+    nearest = ground.scatter_reduce(0, target, distance, "amin")
+    first = (distance == nearest.index_select(0, column)) & (distance < math.inf)
+    claim = torch.where(first, owner[:, None], NOTHING)
+    unclaimed = torch.where(nearest < math.inf, float(GROUND), float(NOTHING))
+    whose = unclaimed.scatter_reduce(0, target, claim, "amin")  # of two at one distance, the lower number
+    shape = (len(mounts), azimuths, len(slope))
+    return nearest.view(shape), whose.long().view(shape)
 
 
 def directions(mounts: Sequence[Mount], azimuths: int) -> Float[np.ndarray, "S Az 2"]:
@@ -176,8 +178,3 @@ def _meet(
     distance = torch.where(slope < 0, torch.maximum(enter, level), enter)
     meets = torch.where(slope < 0, distance <= leave, enter <= level)
     return torch.where(meets, distance, math.inf)
-
-
-def _pack(distance: Float[Tensor, " *n"], owner: Int[Tensor, " *n"]) -> Int[Tensor, " *n"]:
-    """One integer that sorts by distance, then owner: the bits of positive floats sort as the floats do."""
-    return (distance.view(torch.int32).long() << 32) | owner

@@ -154,9 +154,10 @@ def test_a_car_has_a_bonnet_and_a_van_has_not() -> None:
 
 def test_a_sweep_does_not_depend_on_its_batch() -> None:
     source = ToySource()
-    jobs = [(source.load(name), frame) for name in source.names() for frame in (0, 5, 11)]
+    jobs = [(source.load(name), frame) for name in source.names() for frame in (0, 3, 5, 8, 11)]
+    assert len(jobs) > lidar.AT_ONCE
     together = lidar.scan(jobs)
-    assert len(together) == 6 and all(len(sweeps) == 6 for sweeps in together)
+    assert len(together) == 10 and all(len(sweeps) == 6 for sweeps in together)
     for job, sweeps in zip(jobs, together, strict=True):
         [alone] = lidar.scan([job])
         for one, other in zip(sweeps, alone, strict=True):
@@ -223,6 +224,8 @@ def test_bad_input_is_refused() -> None:
     pose[2, 1] = np.nan
     with pytest.raises(ValueError, match=r"\[1\] of 'toy-0' are not in 2"):
         lidar.scan([(dataclasses.replace(scene, pose=pose), 2)])
+    with pytest.raises(ValueError, match="above ground"):
+        lidar.scan([(street(rsu=0.0), 0)])
     for wrong in ({"elevations": ()}, {"elevations": (0.0,)}, {"azimuths": 0}, {"max_range": 0.0}, {"dropout": -0.1}):
         with pytest.raises(ValueError):
             dataclasses.replace(EXACT, **wrong)
