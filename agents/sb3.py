@@ -38,7 +38,7 @@ class AdversaryVecEnv(VecEnv):
     """A `Game` seen by SB3. A world whose episode ends begins a new one in the same step, for all its slots.
 
     The infos of a last step carry `terminal_observation` and, since nothing ever terminates, `TimeLimit.truncated`.
-    `seed()` and `set_options()` hold for the next `reset()` and are then forgotten; a world takes those of its first slot.
+    `seed()` and `set_options()` hold for the next `reset()` and are then forgotten; a world takes its first slot's.
     """
 
     def __init__(self, game: Game, *, render_mode: str | None = None) -> None:
@@ -53,10 +53,9 @@ class AdversaryVecEnv(VecEnv):
         """Begin new episodes in all worlds; the observations (n, …), or a dict of them."""
         first = slice(None, None, self.n_slots)
         seeds, options = self._seeds[first], self._options[first]
-        if all(option == options[0] for option in options):
-            observations, infos = self.game.reset(seeds, options=options[0])
-        else:
-            for e, (seed, option) in enumerate(zip(seeds, options, strict=True)):
+        observations, infos = self.game.reset(seeds, options=options[0])
+        for e, (seed, option) in enumerate(zip(seeds, options, strict=True)):
+            if option != options[0]:
                 observations, infos = self.game.reset([seed], worlds=[e], options=option)
         self._reset_seeds()
         self._reset_options()
@@ -79,7 +78,7 @@ class AdversaryVecEnv(VecEnv):
         over = np.flatnonzero(truncated).tolist()
         if over:
             for i in np.flatnonzero(dones):
-                rows[i] |= {"terminal_observation": _row(flat, i), "TimeLimit.truncated": True}
+                rows[i] |= {"terminal_observation": _row(flat, int(i)), "TimeLimit.truncated": True}
             observations, infos = self.game.reset([None] * len(over), worlds=over)
             fresh, flat = self._rows(infos), self._flat(observations)
             for i in np.flatnonzero(dones):
@@ -107,7 +106,9 @@ class AdversaryVecEnv(VecEnv):
         method = getattr(self.game, method_name)
         return [method(*args, i // self.n_slots, **kwargs) for i in self._get_indices(indices)]
 
-    def env_is_wrapped(self, wrapper_class: type[Wrapper[Any, Any, Any, Any]], indices: VecEnvIndices = None) -> list[bool]:
+    def env_is_wrapped(
+        self, wrapper_class: type[Wrapper[Any, Any, Any, Any]], indices: VecEnvIndices = None
+    ) -> list[bool]:
         """No gymnasium wrapper can stand between SB3 and the game."""
         return [False for _ in self._get_indices(indices)]
 
