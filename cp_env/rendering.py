@@ -89,7 +89,7 @@ def write_gif(frames: Sequence[Image3], path: str | Path, *, fps: float = 5.0, c
     return path
 
 
-def verdict_on(boxes: Float[np.ndarray, "K 5"], truth: Float[np.ndarray, "L 5"]) -> tuple[set[int], set[int]]:
+def wrong_rows(boxes: Float[np.ndarray, "K 5"], truth: Float[np.ndarray, "L 5"]) -> tuple[set[int], set[int]]:
     """The boxes that are ghosts, and the true vehicles that are missed (rows of each)."""
     pairs = match(boxes, truth, FOUND_AT)
     found, known = {int(a) for a, _ in pairs}, {int(b) for _, b in pairs}
@@ -129,7 +129,7 @@ def _panel(
     fused: frozenset[int],
     suspects: frozenset[int],
 ) -> None:
-    ghosts, missed = verdict_on(boxes.boxes, picture.truth)
+    ghosts, missed = wrong_rows(boxes.boxes, picture.truth)
     for row, outline in enumerate(_outlines(boxes.boxes, left, picture.extent)):
         _box(pen, outline, GHOST if row in ghosts else SEEN, 2 if row in ghosts else 3, row in ghosts)
     for row, outline in enumerate(_outlines(picture.truth, left, picture.extent)):
@@ -219,10 +219,10 @@ def _strip(pen: ImageDraw.ImageDraw, picture: Picture) -> None:
     pen.text((right + 8, top), "1", FAINT, _font(11), anchor="lm")
     pen.text((right + 8, bottom), "0", FAINT, _font(11), anchor="lm")
     if picture.threshold is not None:
-        y = bottom - picture.threshold * (bottom - top)
-        for x in range(left, right, 8):
-            pen.line((x, y, x + 4, y), FAINT)
-        pen.text((right + 8, y), f"alarm {picture.threshold:.2f}", FAINT, _font(11), anchor="lm")
+        level = bottom - picture.threshold * (bottom - top)
+        for dash in range(left, right, 8):
+            pen.line((dash, level, dash + 4, level), FAINT)
+        pen.text((right + 8, level), f"alarm {picture.threshold:.2f}", FAINT, _font(11), anchor="lm")
     line: list[tuple[float, float]] = []
     for frame, value in enumerate(picture.similarity):
         if not np.isnan(value):

@@ -18,7 +18,9 @@ from hypothesis import HealthCheck, settings
 from jaxtyping import install_import_hook
 
 torch.set_num_threads(1)
-install_import_hook(["cp_env", "defenders", "agents"], "beartype.beartype")
+# an int may be given where a float is asked for, as in static typing
+CHECKER = "beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))"
+install_import_hook(["cp_env", "defenders", "agents"], CHECKER)
 
 settings.register_profile(
     "tests", deadline=None, max_examples=50, derandomize=True, suppress_health_check=[HealthCheck.too_slow]

@@ -1,0 +1,39 @@
+"""Defenders × attacks × liars on equal terms: the plan, the play, the figures, the report.
+
+    protocol = Protocol(scenes="town/test", names=("…",), frames=100)
+    cells = plan(protocol, defenders=("none", "prbi"), attacks=("none", "pgd"), ks=(1, 2), seeds=(0,))
+    store = Store("out")
+    for cell in run(cells, protocol, store, Crew(make_attacker=agents.make)): ...
+    rows = summarise(store.load(cells, protocol))
+
+An attacker comes from outside: this package knows what it does (`reset`, `act`), not where it is made.
+"""
+
+from __future__ import annotations
+
+from cp_env.evaluation.figures import Row, summarise
+from cp_env.evaluation.plan import Cell, Protocol, parse, plan
+from cp_env.evaluation.play import Attacker, play
+from cp_env.evaluation.report import about, markdown, write_report
+from cp_env.evaluation.runner import Crew, open_bank, prepare, run
+from cp_env.evaluation.store import Record, Store
+
+__all__ = [
+    "Attacker",
+    "Cell",
+    "Crew",
+    "Protocol",
+    "Record",
+    "Row",
+    "Store",
+    "about",
+    "markdown",
+    "open_bank",
+    "parse",
+    "plan",
+    "play",
+    "prepare",
+    "run",
+    "summarise",
+    "write_report",
+]
