@@ -12,6 +12,7 @@ from torch.nn import functional
 from cp_env.detector.encoder import Conv
 
 BOX_CHANNELS = 6
+RARE = -4.0  # logit a cell starts from: few cells hold a vehicle's centre
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,12 +42,23 @@ class Decoder(nn.Module):
         self.up = nn.Conv2d(deep, width, kernel_size=1)
         self.top = Conv(width, width)
         self.head = nn.Conv2d(width, 4 * (1 + BOX_CHANNELS), kernel_size=1)
+        nn.init.constant_(self.head.bias[:4], RARE)  # type: ignore[index]
 
     def forward(self, fused: Float[Tensor, "B C H W"]) -> Dense:
-        fine = self.stem(fused)
+        fine = self._pointwise(fused)
         coarse = functional.interpolate(self.up(self.down(fine)), scale_factor=2.0, mode="nearest")
         out = functional.pixel_shuffle(self.head(self.top(fine + coarse)), 2)
         return Dense(out[:, 0], out[:, 1:])
+
+    def _pointwise(self, fused: Float[Tensor, "B C H W"]) -> Float[Tensor, "B D H W"]:
+        """The stem; once folded a matrix product, which leaves the channels last and is faster than a convolution."""
+        if self.stem.conv.bias is None:
+            out: Tensor = self.stem(fused)
+            return out
+        weight = self.stem.conv.weight.flatten(start_dim=1)
+        pixels = fused.flatten(start_dim=2).transpose(1, 2)
+        out = functional.relu(functional.linear(pixels, weight, self.stem.conv.bias))
+        return out.transpose(1, 2).unflatten(2, fused.shape[2:])
 
 
 def cell_centres(size: int, extent: float, like: Tensor) -> Float[Tensor, " size"]:
@@ -54,10 +66,8 @@ def cell_centres(size: int, extent: float, like: Tensor) -> Float[Tensor, " size
     return (torch.arange(size, dtype=like.dtype, device=like.device) + 0.5) * (2 * extent / size) - extent
 
 
-def peaks(
-    dense: Dense, floor: float, extent: float, most: int
-) -> tuple[Float[Tensor, "B K"], Float[Tensor, "B K 5"]]:
-    """Scores (best first; 0 in the places of peaks that are not there) and boxes of the highest local maxima of each view.
+def peaks(dense: Dense, floor: float, extent: float, most: int) -> tuple[Float[Tensor, "B K"], Float[Tensor, "B K 5"]]:
+    """Scores and boxes of the highest local maxima of each view, best first; scores of 0 fill up to K.
 
     A peak is a cell that no other of its 3x3 neighbourhood exceeds, with a score of at least `floor`.
     """

@@ -5,11 +5,14 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 
+import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor, nn
 
+from cp_env.boxes import nms_batch
 from cp_env.detector import fusion, warp
+from cp_env.detector.bev import BEV, rasterise
 from cp_env.detector.decoder import Decoder, Dense, peaks
 from cp_env.detector.encoder import Conv, Encoder
 from cp_env.types import Detections, Sweep
@@ -18,14 +21,13 @@ FUSIONS = {"mean": fusion.mean}
 MOST_BOXES = 64
 OWN_RADIUS = 1.5  # m; nothing else's centre can be this close to the ego's
 NMS_IOU = 0.15  # two vehicles cannot overlap, two boxes estimated of neighbours may a little
-SLICES = 6
 
 
 class Detector(nn.Module):
     """Random weights; `load_detector` gives the trained, frozen one.
 
-    Attributes: `channels` C, `size` H = W of the shared maps, `extent` half their side (m), `map_size` h = w of the decoder's
-    maps, `floor` the lowest score kept, `threshold` the score from which the ego acts on a box.
+    Attributes: `channels` C and `size` H = W of the shared maps, `extent` half their side (m), `map_size` h = w of the
+    decoder's maps, `floor` the lowest score kept, `threshold` the score from which the ego acts on a box.
     """
 
     size = 32
@@ -38,23 +40,19 @@ class Detector(nn.Module):
         if fusion not in FUSIONS:
             raise ValueError(f"fusion must be one of {sorted(FUSIONS)}, not {fusion!r}")
         self.fusion, self.channels, self.threshold = fusion, channels, threshold
-        self.encoder = Encoder(SLICES, channels)
+        self.encoder = Encoder(BEV.slices, channels)
         self.decoder = Decoder(channels)
 
     def encode(self, sweeps: Sequence[Sweep]) -> Float[Tensor, "B C H W"]:
         """The shared map of each sweep, in its own sensor's grid frame."""
-        from cp_env.detector.bev import rasterise
-
         return self.encode_grids(rasterise(sweeps))
 
-    def encode_grids(self, occupancy: Float[Tensor, "B Z R R"]) -> Float[Tensor, "B C H W"]:
+    def encode_grids(self, occupancy: Shaped[Tensor, "B Z R R"]) -> Float[Tensor, "B C H W"]:
         """The shared map of each occupancy grid."""
         maps: Tensor = self.encoder(occupancy.to(self._weight))
         return maps.contiguous()
 
-    def warp(
-        self, maps: Float[Tensor, "*n C H W"], ego_T_sender: Float[Tensor, "*n 3"]
-    ) -> Float[Tensor, "*n C H W"]:
+    def warp(self, maps: Float[Tensor, "*n C H W"], ego_T_sender: Float[Tensor, "*n 3"]) -> Float[Tensor, "*n C H W"]:
         """Sender maps in the ego's frame; zeros where the sender's map does not reach. Linear in `maps`."""
         return warp.warp(maps, ego_T_sender, self.extent)
 
@@ -69,15 +67,15 @@ class Detector(nn.Module):
         world: Int[Tensor, " B"],
         groups: Bool[Tensor, "B N"],
     ) -> Float[Tensor, "B C H W"]:
-        """One fused map for each row (world, members); a group may lack the ego and may hold one vehicle, but not none."""
+        """One fused map for each row (world, members). A group may lack the ego, may hold one vehicle, but not none."""
         if not bool(groups.any(dim=1).all()):
             empty = (~groups.any(dim=1)).nonzero()[:, 0].tolist()
-            raise ValueError(f"a group holds at least one vehicle, but rows {empty} of groups hold none; leave them out")
+            raise ValueError(f"a group holds at least one vehicle: rows {empty} of groups hold none; leave them out")
         return FUSIONS[self.fusion](received, coverage, world, groups)
 
     def decode(self, fused: Float[Tensor, "B C H W"]) -> Dense:
         """Scores and boxes for every cell of 1 m."""
-        dense: Dense = self.decoder(fused.contiguous(memory_format=torch.channels_last))
+        dense: Dense = self.decoder(fused)
         return dense
 
     def perceive(
@@ -92,25 +90,21 @@ class Detector(nn.Module):
 
     def detect(self, dense: Dense) -> list[Detections]:
         """The boxes of each view, best first, down to `floor`, without overlaps and without the ego's own footprint."""
-        from cp_env.boxes import nms
-
-        scores, boxes = peaks(dense, self.floor, self.extent, MOST_BOXES)
+        scores, boxes = (array.cpu().numpy() for array in peaks(dense, self.floor, self.extent, MOST_BOXES))
         centre = boxes[..., :2]
-        valid = (scores > 0) & (centre.norm(dim=-1) > OWN_RADIUS) & (centre.abs() <= self.extent).all(dim=-1)
-        found = []
-        for view_scores, view_boxes, keep in zip(scores, boxes, valid, strict=True):
-            kept_boxes, kept_scores = view_boxes[keep], view_scores[keep]
-            order = nms(kept_boxes, kept_scores, NMS_IOU)
-            found.append(Detections(kept_boxes[order].cpu().numpy(), kept_scores[order].cpu().numpy()))
-        return found
+        valid = (scores > 0) & (np.hypot(*centre.T).T > OWN_RADIUS) & (np.abs(centre) <= self.extent).all(axis=-1)
+        boxes, scores, views = boxes[valid], scores[valid], np.nonzero(valid)[0]
+        stay = nms_batch(boxes, scores, views, NMS_IOU)
+        ends = np.searchsorted(views[stay], np.arange(len(dense.logits) + 1))
+        return [Detections(boxes[rows], scores[rows]) for rows in np.split(stay, ends[1:-1])]
 
     def freeze(self) -> Detector:
-        """Make this the victim: evaluation mode, normalisation folded into the convolutions, no gradients to its weights."""
+        """Make this the victim: evaluation mode, normalisation folded into the convolutions, no gradient to weights."""
         self.eval()
         for module in self.modules():
             if isinstance(module, Conv):
                 module.fold()
-        self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.decoder.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         return self.requires_grad_(False)
 
     @property

@@ -7,19 +7,24 @@ from torch import Tensor, nn
 from torch.nn import functional
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
-UNSHUFFLE = 4  # grid cells a side that become one cell of the first feature map: 0.25 m -> 1 m
+STRIDE = 4  # grid cells a side that become one cell of the first feature map: 0.25 m -> 1 m
 
 
 class Conv(nn.Module):
     """Convolution, batch normalisation, ReLU; the middle one melts into the first once training is over."""
 
-    def __init__(self, channels_in: int, channels_out: int, kernel: int = 3, stride: int = 1) -> None:
+    def __init__(
+        self, channels_in: int, channels_out: int, kernel: int = 3, stride: int = 1, padding: int | None = None
+    ) -> None:
         super().__init__()
-        self.conv = nn.Conv2d(channels_in, channels_out, kernel, stride, kernel // 2, bias=False)
+        padding = kernel // 2 if padding is None else padding
+        self.conv = nn.Conv2d(channels_in, channels_out, kernel, stride, padding, bias=False)
+        nn.init.kaiming_normal_(self.conv.weight, nonlinearity="relu")  # random weights too give features of about 1
         self.norm: nn.Module = nn.BatchNorm2d(channels_out)
 
     def forward(self, x: Float[Tensor, "B I H W"]) -> Float[Tensor, "B O h w"]:
-        return functional.relu(self.norm(self.conv(x)), inplace=True)
+        out: Tensor = functional.relu(self.norm(self.conv(x)), inplace=True)
+        return out
 
     def fold(self) -> None:
         """Put the (eval-mode) normalisation into the convolution: the same function, one pass less."""
@@ -29,12 +34,12 @@ class Conv(nn.Module):
 
 
 class Encoder(nn.Module):
-    """Occupancy [B, Z, 256, 256] at 0.25 m to shared maps [B, C, 32, 32] at 2 m, non-negative (the last step is a ReLU)."""
+    """Occupancy [B, Z, 256, 256] at 0.25 m to shared maps [B, C, 32, 32] at 2 m, which are nowhere negative."""
 
     def __init__(self, slices: int, channels: int, width: int = 32) -> None:
         super().__init__()
         self.layers = nn.Sequential(
-            Conv(slices * UNSHUFFLE**2, width, kernel=1),
+            Conv(slices, width, kernel=STRIDE, stride=STRIDE, padding=0),
             Conv(width, width),
             Conv(width, 2 * width, stride=2),
             Conv(2 * width, 2 * width),
@@ -42,5 +47,5 @@ class Encoder(nn.Module):
         )
 
     def forward(self, occupancy: Float[Tensor, "B Z R R"]) -> Float[Tensor, "B C H W"]:
-        features: Tensor = self.layers(functional.pixel_unshuffle(occupancy, UNSHUFFLE))
+        features: Tensor = self.layers(occupancy)
         return features

@@ -13,14 +13,15 @@ def mean(
     world: Int[Tensor, " B"],
     groups: Bool[Tensor, "B N"],
 ) -> Float[Tensor, "B C H W"]:
-    """Row b: the mean, in every cell, over the members of `groups[b]` whose map covers it in world `world[b]`; 0 where none does.
+    """Row b: in every cell of world `world[b]`, the mean over those of `groups[b]` whose map covers it; 0 if none does.
 
-    Each row is summed on its own, members in ascending order, so that a view does not depend on the views asked beside it.
+    Each row is summed on its own, members in ascending order: a view does not depend on the views asked beside it.
     """
-    masked = received * coverage[:, :, None]
+    pairs = zip(received.unbind(), coverage.unbind(), strict=True)
+    per_world = [list(zip(maps.unbind(), mask.unbind(), strict=True)) for maps, mask in pairs]
     fused = []
-    for row, group in zip(world.tolist(), groups, strict=True):
-        members = group.nonzero()[:, 0]
-        count = coverage[row, members].sum(dim=0).clamp(min=1)
-        fused.append(masked[row, members].sum(dim=0) / count)
+    for row, group in zip(world.tolist(), groups.tolist(), strict=True):
+        members = [member for member, inside in zip(per_world[row], group, strict=True) if inside]
+        total = torch.stack([maps * mask for maps, mask in members]).sum(dim=0)
+        fused.append(total / torch.stack([mask for _, mask in members]).sum(dim=0).clamp(min=1))
     return torch.stack(fused) if fused else received.new_zeros((0, *received.shape[2:]))

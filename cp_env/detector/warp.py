@@ -1,7 +1,7 @@
 """f_T: a sender's map in the ego's frame.
 
 Convention:
-    maps          [..., C, H, W]; row ↔ y (row 0 at y = -extent), column ↔ x (column 0 at x = -extent); cell centres carry the values.
+    maps          [..., C, H, W]; row ↔ y (the first starts at y = -extent), column ↔ x; values belong to cell centres.
     ego_T_sender  (x, y, yaw) of the sender's grid frame in the ego's; m, m, rad. It takes sender points to ego points.
 Sampling is bilinear between cell centres, with zeros outside the sender's map: linear in the maps, and differentiable.
 """
@@ -35,10 +35,8 @@ def warp(
             f"{tuple(ego_T_sender.shape)}; pass poses of shape {(*maps.shape[:-3], 3)}"
         )
     x, y = sender_points(ego_T_sender.to(maps.dtype), maps.shape[-1], extent)
-    grid = torch.stack([x, y], dim=-1).flatten(end_dim=-4) if maps.dim() > 4 else torch.stack([x, y], dim=-1)
-    flat = functional.grid_sample(
-        maps.reshape(-1, *maps.shape[-3:]), grid.reshape(-1, *grid.shape[-3:]), padding_mode="zeros", align_corners=False
-    )
+    grid = torch.stack([x, y], dim=-1).reshape(-1, *x.shape[-2:], 2)
+    flat = functional.grid_sample(maps.reshape(-1, *maps.shape[-3:]), grid, padding_mode="zeros", align_corners=False)
     return flat.reshape(maps.shape)
 
 

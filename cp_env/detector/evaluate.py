@@ -1,0 +1,205 @@
+"""How well a detector sees, nobody lying: `python -m cp_env.detector.evaluate --scenes town/test`.
+
+Strict AP of the first vehicles of every scene, fused in groups of growing size around the ego, vehicle 0; the Jaccard
+similarity of consecutive frames, the ego's motion taken out; and how large the shared features are, against which an
+attack's budget is to be judged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+import tyro
+from jaxtyping import Float
+from rich.console import Console
+from rich.table import Table
+from tqdm import tqdm
+
+from cp_env.detector.data import RETURNS_SEEN
+from cp_env.detector.detector import Detector
+from cp_env.detector.weights import about, load_detector, read_detector, save_detector
+from cp_env.metrics import ApMeter
+from cp_env.scenes import open_source
+from cp_env.similarity import view_similarity_many
+from cp_env.truth import rows_in_range, truth_boxes
+from cp_env.types import Detections, Scene, SceneSource, Sweep, View
+
+CHUNK = 5  # frames encoded together
+GRID = tuple(np.round(np.arange(0.1, 0.71, 0.025), 3))  # operating thresholds tried
+
+_NO_MAP = np.zeros((0, 0), dtype=np.float32)
+
+
+@dataclass(frozen=True)
+class Args:
+    """What is measured."""
+
+    scenes: str = "town/test"
+    weights: Path | None = None  # a file; by default the weights that ship
+    n_vehicles: int = 5
+    frames: int = 100  # of each scene, from its first on
+    limit: int | None = None  # so many scenes only
+    calibrate: bool = False  # choose the operating threshold on these scenes and write it into `weights`
+    threads: int = 1
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """One frame: what groups of 1 … n vehicles detect (the ego first), and what is there."""
+
+    scene: str
+    origin: Float[np.ndarray, " 2"]
+    detections: list[Detections]
+    truth: Float[np.ndarray, "L 5"]
+    n_visible: int  # vehicles in range of which the n sensors together have returns enough
+    magnitude: tuple[float, float]  # of the ego's shared map: mean, 99th percentile
+
+
+@dataclass(frozen=True)
+class Report:
+    """Clean figures of a detector. AP by group size, the ego always in the group."""
+
+    n_frames: int
+    ap50: tuple[float, ...]
+    ap70: tuple[float, ...]
+    jaccard: float  # of consecutive frames, everyone fused, at the operating threshold
+    precision: float  # at the operating threshold, IoU 0.5
+    recall: float
+    threshold: float
+    visible: float  # share of the truth that could be seen at all
+    mean: float  # of the shared maps
+    high: float  # their 99th percentile
+
+
+def watch(detector: Detector, source: SceneSource, args: Args) -> Iterator[Seen]:
+    """Every frame of every scene, in order."""
+    names = source.names()[: args.limit]
+    for name in tqdm(names, desc=f"evaluating {source.name}", unit="scene"):
+        scene = source.load(name)
+        frames = range(min(args.frames, scene.n_frames))
+        for start in range(0, len(frames), CHUNK):
+            part = frames[start : start + CHUNK]
+            for frame, sweeps in zip(part, source.sweeps(scene, part), strict=True):
+                yield look(detector, scene, frame, sweeps[: args.n_vehicles])
+
+
+@torch.no_grad()
+def look(detector: Detector, scene: Scene, frame: int, sweeps: Sequence[Sweep]) -> Seen:
+    """One frame through the whole detector; the first sweep is the ego's."""
+    n = len(sweeps)
+    maps = detector.encode(sweeps)
+    origin = np.stack([sweep.origin[:2] for sweep in sweeps])
+    pose = torch.zeros(n, 3)
+    pose[:, :2] = torch.from_numpy(origin - origin[0])
+    received, coverage = detector.warp(maps, pose), detector.coverage(pose)
+    groups = torch.ones(n, n, dtype=torch.bool).tril()
+    dense = detector.perceive(received[None], coverage[None], torch.zeros(n, dtype=torch.long), groups)
+    ego = int(scene.connected[0])
+    rows = rows_in_range(scene, frame, ego, detector.extent)
+    returns = sum(sweep.hits[rows] for sweep in sweeps if sweep.hits is not None)
+    return Seen(
+        scene.name,
+        origin[0],
+        detector.detect(dense),
+        truth_boxes(scene, frame, ego, detector.extent),
+        int(np.sum(returns >= RETURNS_SEEN)),
+        (float(maps[0].mean()), float(maps[0].flatten().quantile(0.99))),
+    )
+
+
+def jaccard(seen: Sequence[Seen], threshold: float) -> float:
+    """Mean similarity of consecutive frames of the same scene, everyone fused."""
+    everyone = [frame.detections[-1] for frame in seen]
+    views = [
+        View(frozenset(), t, frame.origin, found, found.above(threshold), _NO_MAP)
+        for t, (frame, found) in enumerate(zip(seen, everyone, strict=True))
+    ]
+    pairs = [(views[t - 1], views[t]) for t in range(1, len(seen)) if seen[t - 1].scene == seen[t].scene]
+    return float(view_similarity_many(pairs).mean()) if pairs else float("nan")
+
+
+def precision_recall(meter: ApMeter, threshold: float) -> tuple[float, float]:
+    """At IoU 0.5 and a score threshold."""
+    scores, hits = meter.matched(0.5)
+    found = scores >= threshold
+    return float(hits[found].sum() / max(found.sum(), 1)), float(hits[found].sum() / max(meter.n_truth, 1))
+
+
+def meters(seen: Sequence[Seen]) -> list[ApMeter]:
+    """One for each group size."""
+    filled = [ApMeter((0.5, 0.7)) for _ in seen[0].detections]
+    for frame in seen:
+        for meter, detections in zip(filled, frame.detections, strict=True):
+            meter.add(detections, frame.truth)
+    return filled
+
+
+def report(seen: Sequence[Seen], threshold: float) -> Report:
+    """All figures of the frames."""
+    by_size = meters(seen)
+    precision, recall = precision_recall(by_size[-1], threshold)
+    mean, high = np.mean([frame.magnitude for frame in seen], axis=0)
+    return Report(
+        n_frames=len(seen),
+        ap50=tuple(meter.value(0.5) for meter in by_size),
+        ap70=tuple(meter.value(0.7) for meter in by_size),
+        jaccard=jaccard(seen, threshold),
+        precision=precision,
+        recall=recall,
+        threshold=threshold,
+        visible=sum(frame.n_visible for frame in seen) / max(sum(len(frame.truth) for frame in seen), 1),
+        mean=float(mean),
+        high=float(high),
+    )
+
+
+def calibrate(seen: Sequence[Seen]) -> float:
+    """The operating threshold of largest F1 x Jaccard of consecutive frames: boxes that are right, and stay."""
+    full = meters(seen)[-1]
+
+    def worth(threshold: float) -> float:
+        precision, recall = precision_recall(full, threshold)
+        return 2 * precision * recall / max(precision + recall, 1e-9) * jaccard(seen, threshold)
+
+    return float(max(GRID, key=worth))
+
+
+def table(result: Report) -> Table:
+    """The figures for the screen."""
+    grid = Table(title=f"nobody lying, {result.n_frames} frames")
+    grid.add_column("vehicles fused")
+    grid.add_column("AP@0.5")
+    grid.add_column("AP@0.7")
+    for size, (ap50, ap70) in enumerate(zip(result.ap50, result.ap70, strict=True), start=1):
+        grid.add_row(str(size) if size > 1 else "1 (ego)", f"{ap50:.3f}", f"{ap70:.3f}")
+    grid.caption = (
+        f"consecutive frames: Jaccard {result.jaccard:.3f} at threshold {result.threshold:.3f} (precision "
+        f"{result.precision:.3f}, recall {result.recall:.3f}); visible to anyone: {result.visible:.3f} of the truth; "
+        f"shared maps: mean {result.mean:.2f}, 99th percentile {result.high:.2f}"
+    )
+    return grid
+
+
+def main(args: Args) -> None:
+    """Measure, or calibrate and measure."""
+    torch.set_num_threads(args.threads)
+    source = open_source(args.scenes)
+    detector = load_detector() if args.weights is None else read_detector(args.weights).freeze()
+    seen = list(watch(detector, source, args))
+    threshold = detector.threshold
+    if args.calibrate:
+        if args.weights is None:
+            raise ValueError("calibration writes into the weights: name the file with --weights")
+        threshold = calibrate(seen)
+        trained = read_detector(args.weights)
+        trained.threshold = threshold
+        save_detector(trained, args.weights, **{**about(args.weights), "calibrated": args.scenes})
+    Console(width=120).print(table(report(seen, threshold)))
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Args, description=__doc__))
