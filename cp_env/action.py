@@ -31,7 +31,7 @@ class ActionMap(ABC):
     def __init__(self, shape: tuple[int, ...]) -> None:
         self.space = gymnasium.spaces.Box(-1.0, 1.0, shape, np.float32)
 
-    def reset(self, worlds: list[int], num_envs: int) -> None:
+    def reset(self, worlds: list[int]) -> None:  # noqa: B027 (most maps carry nothing over)
         """New episodes begin in `worlds`: forget what was carried over from frame to frame there."""
 
     def checked(self, actions: np.ndarray, n: tuple[int, int]) -> Float[np.ndarray, "E k *a"]:
@@ -63,8 +63,8 @@ class Full(ActionMap):
 class Basis(ActionMap):
     """δ = Δ · clip(Σ_j a_j B_j): sixteen fixed directions, a sign per channel times a smooth plane wave over the map.
 
-    The directions come from a seed of their own, so an action means the same in every environment; they need no knowledge
-    of the detector (black-box). Our choice: the paper has no such attack.
+    The directions come from a seed of their own, so an action means the same in every environment; they need no
+    knowledge of the detector (black-box). Our choice: the paper has no such attack.
     """
 
     count = 16
@@ -86,7 +86,7 @@ class Basis(ActionMap):
 
 @dataclass(frozen=True, eq=False)
 class Guidance:
-    """A guided action, number by number. A team acts on the mean of its firing members' aims; strength is each one's own."""
+    """A guided action, number by number. A team shares the mean of its firing members' aims; strength is each one's."""
 
     strength: Float[Tensor, "E k"]  # radius of the ball used, as a share of Δ
     spoof: Float[Tensor, "E k"]  # 0 only hides, 1 only spoofs
@@ -114,10 +114,10 @@ class Guidance:
 
 
 class Guided(ActionMap):
-    """Eight numbers steer a few steps of projected ascent on the adversarial loss (Eq. 2), warm-started from the last δ.
+    """Eight numbers steer `steps` steps of projected ascent on the adversarial loss (Eq. 2), from the last δ on.
 
-    In order: strength, hide against spoof, drift, aim x, aim y, aim width, persistence, gate (attack if >= 0). The ascent runs
-    on the view the ego is expected to fuse. `steps` gradient steps a frame.
+    In order: strength, hide against spoof, drift, aim x, aim y, aim width, persistence, gate (attack if >= 0). The
+    ascent runs on the view the ego is expected to fuse.
     """
 
     size = 8
@@ -128,7 +128,7 @@ class Guided(ActionMap):
         self._last: Float[Tensor, "E k C H W"] | None = None
         self._stale: list[int] = []
 
-    def reset(self, worlds: list[int], num_envs: int) -> None:
+    def reset(self, worlds: list[int]) -> None:
         self._stale += worlds
 
     def __call__(self, actions: Float[np.ndarray, "E k *a"], situation: Situation) -> Float[Tensor, "E k C H W"]:
@@ -182,10 +182,16 @@ def _aim(guidance: Guidance, situation: Situation) -> Float[Tensor, "E k h w"]:
     return torch.exp(-(dx**2 + dy**2) / (2 * guidance.width[..., None, None] ** 2))
 
 
+FAINT = 0.01
+"""Cells whose gradient is below this share of the strongest cell's are left alone: a sign knows no magnitude, and
+without this a narrow aim would still fill the whole map."""
+
+
 def _steepest(gradient: Float[Tensor, "E k C H W"], norm: str) -> Float[Tensor, "E k C H W"]:
-    """The direction of unit norm that gains most."""
+    """The direction of unit norm that gains most, where there is anything to gain."""
     if norm == "linf":
-        return gradient.sign()
+        cells = gradient.abs().amax(2, keepdim=True)
+        return gradient.sign() * (cells > FAINT * cells.amax((3, 4), keepdim=True))
     length = gradient.flatten(2).norm(dim=2)[..., None, None, None]
     return gradient / length.clamp(min=1e-12)
 

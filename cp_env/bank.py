@@ -44,7 +44,7 @@ def cache_directory() -> Path:
 
 @dataclass(frozen=True, eq=False)
 class Episode:
-    """One scene as N vehicles live it: maps 0..n-1 are the first n connected vehicles, the road-side unit's is the last.
+    """One scene as N vehicles live it: maps 0..n-1 are the first n connected vehicles', the road-side unit's the last.
 
     The ego frame of frame t is the grid frame of map 0 at t.
     """
@@ -56,7 +56,7 @@ class Episode:
     coverage: Float[Tensor, "T N H W"]
     clean: Dense  # everyone fused, nobody lying; half precision, T views
     clean_views: tuple[View, ...]
-    truth: tuple[Float[np.ndarray, "L 5"], ...]  # strict: every vehicle in range, seen or hidden; ego frame
+    truth: tuple[Float[np.ndarray, "_ 5"], ...]  # strict: every vehicle in range, seen or hidden; ego frame
 
     def maps(self, name: str, frame: int) -> Float[Tensor, "N C H W"]:
         """`features` or `received` of one frame, single precision."""
@@ -67,7 +67,7 @@ class Episode:
 class SceneBank:
     """Encoded episodes of one source under one detector.
 
-    Raises ValueError when a scene holds fewer connected vehicles than asked for, or no road-side unit where one is wanted.
+    Raises ValueError when a scene holds fewer connected vehicles than asked for, or lacks a road-side unit that is.
     """
 
     def __init__(
@@ -108,8 +108,8 @@ class SceneBank:
         """Rows of a frame's sweeps: the first n connected vehicles, then the road-side unit."""
         if n_vehicles > scene.n_connected:
             raise ValueError(
-                f"n_vehicles = {n_vehicles}, but scene {scene.name!r} holds only {scene.n_connected} connected vehicles; "
-                "lower n_vehicles or choose other scenes"
+                f"n_vehicles = {n_vehicles}, but scene {scene.name!r} holds only {scene.n_connected} connected "
+                "vehicles; lower n_vehicles or choose other scenes"
             )
         if rsu and scene.rsu is None:
             raise ValueError(f"scene {scene.name!r} has no road-side unit; use rsu=False or choose other scenes")

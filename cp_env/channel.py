@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
@@ -11,15 +10,18 @@ NORMS = ("linf", "l2")
 
 def norm_of(delta: Float[Tensor, "*n C H W"], norm: str) -> Float[Tensor, "*n"]:
     """‖δ‖ of every map: the largest entry ("linf") or the Euclidean length over all entries ("l2")."""
-    return delta.flatten(-3).norm(p=float("inf") if norm == "linf" else 2.0, dim=-1)
+    flat = delta.flatten(-3)
+    if norm == "linf":
+        return flat.abs().amax(-1)
+    return flat.double().norm(dim=-1).to(delta.dtype)  # single precision loses 1e-5 over so many entries
 
 
 def project(delta: Float[Tensor, "*n C H W"], budget: float, norm: str) -> Float[Tensor, "*n C H W"]:
     """The nearest perturbation with ‖δ‖ ≤ Δ: clipped ("linf") or shortened ("l2")."""
     if norm == "linf":
         return delta.clamp(-budget, budget)
-    length = norm_of(delta, norm)[..., None, None, None]
-    return delta * (budget / length.clamp(min=budget)) if budget > 0 else torch.zeros_like(delta)
+    length = norm_of(delta, norm)[..., None, None, None].clamp(min=1e-12)
+    return delta * (budget / length).clamp(max=1.0)
 
 
 def inject(

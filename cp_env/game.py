@@ -111,7 +111,7 @@ class Game:
         """Begin new episodes in `worlds` (all by default); returns observations and infos of all worlds."""
         worlds = list(range(self.num_envs) if worlds is None else worlds)
         self.world.reset(seeds, worlds, options)
-        self._map.reset(worlds, self.num_envs)
+        self._map.reset(worlds)
         self._fresh[worlds] = True
         return self._observe()
 

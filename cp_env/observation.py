@@ -59,7 +59,7 @@ class Observer:
         )
 
     def __call__(self, world: World, seats: Seats, last: Outcome | None, fresh: Bool[np.ndarray, " E"]) -> Observation:
-        """Every slot's observation, first axes [E, S]. `last` tells nothing of worlds in `fresh`: their episode just began."""
+        """Every slot's observation, first axes [E, S]. In `fresh` worlds the episode just began: no `last` there."""
         context = np.clip(self._context(world, seats, last, fresh), -1.0, 1.0).astype(np.float32)
         maps = world.features()
         index = torch.from_numpy(seats.vehicle).to(maps.device)

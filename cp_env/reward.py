@@ -20,7 +20,7 @@ def damage(outcome: Outcome) -> Float[np.ndarray, " E"]:
 
 
 def ap_drop(outcome: Outcome) -> Float[np.ndarray, " E"]:
-    """AP@0.5 of this frame that the clean view has and the output has not; negative where the lie helped. In [-1, 1]."""
+    """AP@0.5 of this frame that the output lost against the clean view, in [-1, 1]; negative where the lie helped."""
     drops = [
         average_precision([clean.detections], [truth], 0.5) - average_precision([output.detections], [truth], 0.5)
         for clean, output, truth in zip(outcome.clean, outcome.output, outcome.truth, strict=True)

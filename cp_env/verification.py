@@ -1,6 +1,6 @@
 """Lock-step verification: every world's defender asks, one forward answers all, the referee counts.
 
-Convention: a *pair* is (world, group). The referee never tells a defender who lies; it hands out views and nothing else.
+Convention: a *pair* is (world, group). The referee never tells a defender who lies; it hands out views, no more.
 """
 
 from __future__ import annotations

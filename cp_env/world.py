@@ -54,7 +54,7 @@ class Outcome:
     seen: tuple[View, ...]  # everyone fused, liars included
     clean: tuple[View, ...]  # everyone fused, as it would have been without lies
     judgements: tuple[Judgement, ...]
-    truth: tuple[Float[np.ndarray, "L 5"], ...]
+    truth: tuple[Float[np.ndarray, "_ 5"], ...]
     similarity: Float[np.ndarray, " E"]  # Eq. (5) of `seen` to the previous output; 1 in the first frame
     damage: Float[np.ndarray, " E"]  # 1 - Jaccard(output, clean)
     perturbation_norm: Float[np.ndarray, "E k"]
@@ -99,8 +99,8 @@ class World:
     """E worlds: scene, liars, channel, the ego's detector and one defender each.
 
     `defender` is a name, an object (copied for every world) or a factory; `scenes` a name or a `SceneSource`. All other
-    knobs are those of `cp_env.parallel_env`. Seeds: one `SeedSequence` a world, spawned at every reset for the scene, the
-    draw of liars and the defender, so a world's trajectory does not depend on its neighbours.
+    knobs are those of `cp_env.parallel_env`. Seeds: one `SeedSequence` a world, spawned at every reset for the scene,
+    the draw of liars and the defender, so a world's trajectory does not depend on its neighbours.
     """
 
     def __init__(
