@@ -1,0 +1,202 @@
+"""Street networks drawn from a seed and built by SUMO's netconvert: a town grid, a suburb of bent lanes, one large crossing."""
+
+from __future__ import annotations
+
+import subprocess
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import shapely
+from jaxtyping import Float
+from shapely.geometry import LineString, Polygon
+
+STUB = 100.0  # m: the streets that lead out of a network, where traffic enters and leaves
+LANE_WIDTH = 3.2  # m
+SPEED = 7.5  # m/s: the limit; a 30 km/h zone driven with some care
+
+
+@dataclass
+class Plan:
+    """A network before netconvert: nodes (x, y, type) and two-way streets between them."""
+
+    nodes: dict[str, tuple[float, float, str]] = field(default_factory=dict)
+    streets: list[tuple[str, str, int, list[tuple[float, float]]]] = field(default_factory=list)
+
+    def node(self, name: str, x: float, y: float, kind: str) -> None:
+        self.nodes[name] = (float(x), float(y), kind)
+
+    def street(self, a: str, b: str, lanes: int, bend: float = 0.0) -> None:
+        """A street from a to b with `lanes` each way, whose middle is pushed `bend` metres to its left."""
+        p, q = (np.array(self.nodes[name][:2]) for name in (a, b))
+        along = q - p
+        left = np.array([-along[1], along[0]]) / np.hypot(*along)
+        shape = [tuple(p + t * along + 4 * t * (1 - t) * bend * left) for t in np.linspace(0, 1, 9)[1:-1]] if bend else []
+        self.streets.append((a, b, lanes, shape))
+
+
+@dataclass(frozen=True)
+class Lane:
+    edge: str
+    index: int  # 0 is the rightmost
+    shape: Float[np.ndarray, "P 2"]
+    width: float
+    internal: bool  # inside a junction
+
+
+@dataclass(frozen=True)
+class Streets:
+    """A built network: where one drives, and where one enters and leaves."""
+
+    net: Path
+    lanes: list[Lane]
+    carriageway: shapely.Geometry  # the union of lanes and junctions
+    junctions: Float[np.ndarray, "J 3"]  # x, y, 1 if signalised
+    sources: list[str]
+    sinks: list[str]
+    centre: Float[np.ndarray, " 2"]
+    radius: float  # m: the ego stays this near the centre, so that entering traffic does not pop up beside it
+
+
+def draw(kind: str, rng: np.random.Generator) -> tuple[Plan, float]:
+    """A plan of the kind "urban", "suburban" or "intersection", centred on the origin, and its useful radius."""
+    return {"urban": _urban, "suburban": _suburban, "intersection": _intersection}[kind](rng)
+
+
+def _urban(rng: np.random.Generator) -> tuple[Plan, float]:
+    n = 4
+    lanes = rng.choice([1, 1, 2], size=(2, n))
+    return _grid(rng, n, spacing=(44, 76), jitter=5.0, lanes=lanes, drop=0.08, bend=0.0, signals=0.9), 85.0
+
+
+def _suburban(rng: np.random.Generator) -> tuple[Plan, float]:
+    n = 4
+    lanes = np.ones((2, n), dtype=int)
+    return _grid(rng, n, spacing=(46, 82), jitter=10.0, lanes=lanes, drop=0.22, bend=7.0, signals=0.45), 85.0
+
+
+def _grid(rng, n, *, spacing, jitter, lanes, drop, bend, signals) -> Plan:
+    plan = Plan()
+    xs, ys = (np.cumsum(rng.uniform(*spacing, size=n)) for _ in range(2))
+    xs, ys = xs - xs.mean(), ys - ys.mean()
+    for i in range(n):
+        for j in range(n):
+            kind = "traffic_light" if rng.random() < signals else "priority"
+            plan.node(f"n{i}{j}", *(np.array([xs[i], ys[j]]) + rng.normal(0, jitter, 2)), kind)
+    for i in range(n):
+        for j in range(n):
+            for di, dj in ((1, 0), (0, 1)):
+                if i + di < n and j + dj < n and rng.random() >= drop:
+                    width = int(lanes[0, j] if di else lanes[1, i])
+                    plan.street(f"n{i}{j}", f"n{i + di}{j + dj}", width, rng.normal(0, bend) if bend else 0.0)
+    for i in range(n):
+        for name, at, step, width in (
+            (f"s{i}", f"n{i}0", (0, -1), lanes[1, i]),
+            (f"n_{i}", f"n{i}{n - 1}", (0, 1), lanes[1, i]),
+            (f"w{i}", f"n0{i}", (-1, 0), lanes[0, i]),
+            (f"e{i}", f"n{n - 1}{i}", (1, 0), lanes[0, i]),
+        ):
+            x, y, _ = plan.nodes[at]
+            plan.node(name, x + STUB * step[0], y + STUB * step[1], "dead_end")
+            plan.street(name, at, int(width))
+    return plan
+
+
+def _intersection(rng: np.random.Generator) -> tuple[Plan, float]:
+    plan = Plan()
+    plan.node("c", 0, 0, "traffic_light")
+    arms = 3 if rng.random() < 0.25 else 4
+    turn = 2 * np.pi / 4
+    lanes = rng.choice([2, 3], size=2)
+    for k in range(arms):
+        angle = k * turn + rng.normal(0, 0.14)
+        out = np.array([np.cos(angle), np.sin(angle)])
+        near, far = rng.uniform(85, 115), rng.uniform(170, 190)
+        plan.node(f"m{k}", *(near * out), "priority")
+        plan.node(f"a{k}", *(far * out), "dead_end")
+        plan.street(f"m{k}", "c", int(lanes[k % 2]), rng.normal(0, 3))
+        plan.street(f"a{k}", f"m{k}", int(lanes[k % 2]))
+        if rng.random() < 0.6:  # a side street
+            side = angle + rng.choice([-1, 1]) * (np.pi / 2 + rng.normal(0, 0.15))
+            plan.node(f"b{k}", *(near * out + 75 * np.array([np.cos(side), np.sin(side)])), "dead_end")
+            plan.street(f"b{k}", f"m{k}", 1)
+    return plan, 60.0
+
+
+def build(plan: Plan, radius: float, folder: Path) -> Streets:
+    """Run netconvert on `plan`, leaving its files in `folder`."""
+    nodes, edges = ET.Element("nodes"), ET.Element("edges")
+    for name, (x, y, kind) in plan.nodes.items():
+        ET.SubElement(nodes, "node", id=name, x=f"{x:.2f}", y=f"{y:.2f}", type=kind)
+    for a, b, lanes, shape in plan.streets:
+        ends = [plan.nodes[a][:2], plan.nodes[b][:2]]
+        line = [ends[0], *shape, ends[1]]
+        for tail, head, points in ((a, b, line), (b, a, line[::-1])):
+            text = " ".join(f"{x:.2f},{y:.2f}" for x, y in points)
+            ET.SubElement(
+                edges, "edge", id=f"{tail}-{head}", to=head, numLanes=str(lanes), speed=f"{SPEED}",
+                width=f"{LANE_WIDTH}", shape=text, **{"from": tail},
+            )  # fmt: skip
+    files = {name: folder / f"plan.{name}.xml" for name in ("nod", "edg", "net")}
+    ET.ElementTree(nodes).write(files["nod"])
+    ET.ElementTree(edges).write(files["edg"])
+    command = [
+        _tool("netconvert"), "-n", files["nod"], "-e", files["edg"], "-o", files["net"], "--no-turnarounds",
+        "--tls.green.time", "14", "--tls.yellow.time", "3", "--tls.left-green.time", "5", "--junctions.corner-detail", "5",
+        "--default.junctions.radius", "5", "--offset.disable-normalization", "--no-warnings",
+    ]  # fmt: skip
+    done = subprocess.run([str(part) for part in command], capture_output=True, text=True)
+    if done.returncode:
+        raise RuntimeError(f"netconvert failed: {done.stderr}")
+    return _read(files["net"], radius)
+
+
+def _read(net: Path, radius: float) -> Streets:
+    root = ET.parse(net).getroot()
+    lanes = []
+    for edge in root.iter("edge"):
+        if edge.get("function") not in (None, "internal"):
+            continue
+        for lane in edge.iter("lane"):
+            width = float(lane.get("width", LANE_WIDTH))
+            lanes.append(
+                Lane(edge.get("id", ""), int(lane.get("index", 0)), _points(lane), width, edge.get("function") is not None)
+            )
+    areas = [LineString(lane.shape).buffer(lane.width / 2, cap_style="flat") for lane in lanes]
+    spots = []
+    for junction in root.iter("junction"):
+        if junction.get("type") not in ("internal", "dead_end"):
+            signal = junction.get("type", "").startswith("traffic_light")
+            spots.append((float(junction.get("x", 0)), float(junction.get("y", 0)), float(signal)))
+        if len(junction.get("shape", "").split()) > 2:
+            areas.append(Polygon(_points(junction)).buffer(0))
+    ends = {j.get("id") for j in root.iter("junction") if j.get("type") == "dead_end"}
+    edges = [edge for edge in root.iter("edge") if edge.get("function") is None]
+    return Streets(
+        net=net,
+        lanes=lanes,
+        carriageway=shapely.union_all(areas).buffer(0.1).buffer(-0.1),
+        junctions=np.array(spots),
+        sources=[edge.get("id", "") for edge in edges if edge.get("from") in ends],
+        sinks=[edge.get("id", "") for edge in edges if edge.get("to") in ends],
+        centre=np.zeros(2),
+        radius=radius,
+    )
+
+
+def _points(element: ET.Element) -> Float[np.ndarray, "P 2"]:
+    return np.array([[float(v) for v in point.split(",")[:2]] for point in element.get("shape", "").split()])
+
+
+def _tool(name: str) -> Path:
+    """A program of the SUMO wheel.
+
+    Raises:
+        ImportError: SUMO is not installed; the message says how to get it.
+    """
+    try:
+        import sumo
+    except ImportError as error:
+        raise ImportError("recording scenes needs SUMO; install this package with its extra: pip install '.[sumo]'") from error
+    return Path(sumo.SUMO_HOME) / "bin" / name

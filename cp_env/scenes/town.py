@@ -1,0 +1,88 @@
+"""The scenes that ship with the package: recorded traffic in three kinds of streets, in three disjoint splits."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from functools import cached_property, lru_cache
+from pathlib import Path
+
+from cp_env.scenes import recording
+from cp_env.types import Scene, Sweep
+
+SPLITS = ("train", "calibration", "test")
+KINDS = ("urban", "suburban", "intersection")
+DATA = Path(__file__).parent / "data"
+INDEX = "index.json"
+
+
+class Town:
+    """One split of a folder of recordings (a `SceneSource`).
+
+    Args:
+        split: "train", "calibration" or "test"; no two of them share a street.
+        folder: where `python -m cp_env.scenes.record` wrote; the recordings of the package by default.
+
+    Raises:
+        ValueError: unknown split; the folder's index is missing or broken.
+    """
+
+    def __init__(self, split: str = "train", folder: Path = DATA) -> None:
+        if split not in SPLITS:
+            raise ValueError(f"split must be one of {', '.join(SPLITS)}; got {split!r}")
+        self.name = f"town/{split}"
+        self._folder = Path(folder)
+        self._names = _index(self._folder / INDEX, split)
+
+    def names(self) -> tuple[str, ...]:
+        """The scenes of this split, in a fixed order."""
+        return self._names
+
+    def load(self, name: str) -> Scene:
+        """One scene; the same object each time it is asked for.
+
+        Raises:
+            ValueError: unknown name, or a missing or broken recording.
+        """
+        return _load(self._path(name), name)
+
+    def sweeps(self, scene: Scene, frames: Sequence[int]) -> list[list[Sweep]]:
+        """`[frame][agent]`: the connected vehicles in order, then the road-side unit."""
+        from cp_env import lidar  # heavy: only those who cast rays pay for it
+
+        return lidar.scan([(scene, int(frame)) for frame in frames])
+
+    @cached_property
+    def digest(self) -> str:
+        """Changes with any recording of the split and with the LiDAR's specification."""
+        from cp_env import lidar
+
+        sha = hashlib.sha256(repr((self.name, lidar.DIGEST, lidar.VEHICLE, lidar.RSU)).encode())
+        for name in self._names:
+            path = self._path(name)
+            if not path.is_file():
+                raise ValueError(f"scene {name!r} needs the recording {path}, which does not exist")
+            sha.update(path.read_bytes())
+        return sha.hexdigest()
+
+    def _path(self, name: str) -> Path:
+        if name not in self._names:
+            raise ValueError(f"unknown scene {name!r}; {self.name} holds {', '.join(self._names)}")
+        return self._folder / f"{name}.npz"
+
+
+@lru_cache(maxsize=128)
+def _load(path: Path, name: str) -> Scene:
+    scene = recording.read(path, name)
+    for array in (scene.pose, scene.size, scene.connected, scene.obstacles, scene.rsu):
+        if array is not None:
+            array.flags.writeable = False  # it is shared by all who load it
+    return scene
+
+
+def _index(path: Path, split: str) -> tuple[str, ...]:
+    try:
+        return tuple(str(name) for name in json.loads(path.read_text())[split])
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise ValueError(f"index of recordings {path} is missing or broken ({error}); reinstall or record again") from error

@@ -1,0 +1,118 @@
+"""Moving traffic: SUMO drives trips from stub to stub through a network, and we note where everyone is.
+
+SUMO gives the middle of the front bumper and clockwise degrees from north; we keep box centres and radians from east.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from cp_env.scenes.fleet import draw_sizes
+from cp_env.scenes.streets import Streets
+
+DT = 0.2  # s: 5 Hz
+AXLE = 0.8  # of its length lies a vehicle's rear axle behind its front bumper
+JUMP = 4.0  # m a frame: nobody drives that fast here
+N_TYPES = 60  # vehicles of one type are twins; a scene shows some dozens
+
+
+@dataclass(frozen=True)
+class Tracks:
+    """Everyone who drove while we looked; NaN where absent. Poses of box centres in the network's frame."""
+
+    pose: Float[np.ndarray, "T V 3"]
+    size: Float[np.ndarray, "V 3"]
+
+
+def drive(
+    streets: Streets, folder: Path, rng: np.random.Generator, *, crowd: int, warm_up: float = 90.0, seconds: float = 90.0
+) -> Tracks:
+    """Simulate `warm_up` + `seconds` s with at most `crowd` vehicles at once; the last `seconds` are kept."""
+    sizes = draw_sizes(N_TYPES, rng, parked=False)
+    routes = folder / "trips.rou.xml"
+    _write_trips(routes, streets, sizes, rng, horizon=warm_up + seconds)
+    sumo = _simulator()
+    sumo.start(
+        ["sumo", "-n", str(streets.net), "-r", str(routes), "--step-length", str(DT), "--seed", str(int(rng.integers(1 << 30))),
+         "--max-num-vehicles", str(crowd), "--lanechange.duration", "3", "--time-to-teleport", "60", "--no-step-log",
+         "--no-warnings", "--ignore-route-errors", "--collision.action", "none", "--default.speeddev", "0"]
+    )  # fmt: skip
+    try:
+        for _ in range(round(warm_up / DT)):
+            sumo.simulationStep()
+        frames = []
+        for _ in range(round(seconds / DT)):
+            sumo.simulationStep()
+            frames.append(
+                {name: (*sumo.vehicle.getPosition(name), sumo.vehicle.getAngle(name), sumo.vehicle.getTypeID(name))
+                 for name in sumo.vehicle.getIDList()}
+            )  # fmt: skip
+    finally:
+        sumo.close()
+    return _tracks(frames, sizes)
+
+
+def _write_trips(
+    path: Path, streets: Streets, sizes: Float[np.ndarray, "K 3"], rng: np.random.Generator, horizon: float
+) -> None:
+    root = ET.Element("routes")
+    for k, (length, width, height) in enumerate(sizes):
+        heavy = length > 6.5
+        ET.SubElement(
+            root, "vType", id=str(k), length=f"{length:.2f}", width=f"{width:.2f}", height=f"{height:.2f}", sigma="0.3",
+            minGap=f"{rng.uniform(1.5, 2.5):.2f}", accel="1.3" if heavy else "2.2", decel="3.5", tau="1.1",
+            speedFactor=f"{rng.uniform(0.75, 1.0):.2f}", lcStrategic="2",
+        )  # fmt: skip
+    for k, depart in enumerate(np.arange(0, horizon, 0.35)):
+        source = streets.sources[rng.integers(len(streets.sources))]
+        sinks = [edge for edge in streets.sinks if edge.split("-")[::-1] != source.split("-")]
+        trip = {"from": source, "to": sinks[rng.integers(len(sinks))]}
+        ET.SubElement(
+            root, "trip", id=f"v{k}", type=str(rng.integers(len(sizes))), depart=f"{depart:.2f}", departLane="random",
+            departSpeed="max", departPos="0", **trip,
+        )  # fmt: skip
+    ET.ElementTree(root).write(path)
+
+
+def _tracks(frames: list[dict[str, tuple[float, float, float, str]]], sizes: Float[np.ndarray, "K 3"]) -> Tracks:
+    """The box of every vehicle, its rear axle drawn behind its front bumper as on a real road.
+
+    SUMO turns a vehicle by its lane, which jumps between lanes and at junctions; a rear axle that follows does not.
+    A vehicle that SUMO moved elsewhere at once (a "teleport" out of a jam) goes on as another one.
+    """
+    rows: dict[str, int] = {}
+    pose = np.full((len(frames), 4 * len({name for frame in frames for name in frame}), 3), np.nan)
+    kinds: list[int] = []
+    front: dict[str, tuple[float, float]] = {}
+    axle: dict[str, tuple[float, float]] = {}
+    for t, frame in enumerate(frames):
+        for name in sorted(frame):
+            x, y, angle, kind = frame[name]
+            length = sizes[int(kind), 0]
+            yaw = np.pi / 2 - np.deg2rad(angle)
+            if name not in rows or t == 0 or name not in frames[t - 1] or _far(front[name], (x, y)):
+                rows[name] = len(kinds)
+                kinds.append(int(kind))
+            else:
+                yaw = np.arctan2(y - axle[name][1], x - axle[name][0])
+            front[name] = x, y
+            axle[name] = x - AXLE * length * np.cos(yaw), y - AXLE * length * np.sin(yaw)
+            pose[t, rows[name]] = x - length / 2 * np.cos(yaw), y - length / 2 * np.sin(yaw), yaw
+    return Tracks(pose[:, : len(kinds)], sizes[kinds])
+
+
+def _far(a: tuple[float, float], b: tuple[float, float]) -> bool:
+    return abs(a[0] - b[0]) + abs(a[1] - b[1]) > JUMP
+
+
+def _simulator():  # noqa: ANN202  libsumo has no types
+    try:
+        import libsumo
+    except ImportError as error:
+        raise ImportError("recording scenes needs SUMO; install this package with its extra: pip install '.[sumo]'") from error
+    return libsumo
