@@ -25,8 +25,8 @@ FORMAT = "cp_env policy 1"
 class Policy:
     """A Gaussian policy: linear layers with tanh between them, the mean of the last, and one deviation a number."""
 
-    weights: tuple[Float[Tensor, "o i"], ...]
-    biases: tuple[Float[Tensor, " o"], ...]
+    weights: tuple[Float[Tensor, "_ _"], ...]
+    biases: tuple[Float[Tensor, " _"], ...]
     log_std: Float[Tensor, " a"]
     defender: str  # whom it was trained against
     knobs: dict[str, Any]  # of the environment it was trained in

@@ -47,7 +47,10 @@ def test_gradients_beat_noise_beats_nothing_much(norm: str) -> None:
 def test_every_attacker_stays_in_the_ball(name: str, norm: str) -> None:
     for budget in (0.01, 0.3, 5.0):
         delta = _act(name, situations.situation(MODEL, norm=norm, budget=budget))
-        assert delta.shape == (2, 2, situations.CHANNELS, situations.SIZE, situations.SIZE) and delta.dtype == torch.float32
+        assert (
+            delta.shape == (2, 2, situations.CHANNELS, situations.SIZE, situations.SIZE)
+            and delta.dtype == torch.float32
+        )
         assert not delta.requires_grad and torch.isfinite(delta).all()
         assert (_norm(norm, delta) <= budget * (1 + 1e-6)).all()
 
