@@ -72,7 +72,7 @@ def peaks(dense: Dense, floor: float, extent: float, most: int) -> tuple[Float[T
     A peak is a cell that no other of its 3x3 neighbourhood exceeds, with a score of at least `floor`.
     """
     logits = dense.logits.detach()
-    batch, size = len(logits), logits.shape[-1]
+    size = logits.shape[-1]
     highest = functional.max_pool2d(logits[:, None], kernel_size=3, stride=1, padding=1)[:, 0]
     lowest = torch.tensor(floor, dtype=logits.dtype).logit().item()
     candidates = torch.where((logits == highest) & (logits >= lowest), logits, -torch.inf).flatten(start_dim=1)
@@ -83,4 +83,4 @@ def peaks(dense: Dense, floor: float, extent: float, most: int) -> tuple[Float[T
     y = centre[torch.div(index, size, rounding_mode="floor")] + code[:, 1]
     yaw = torch.atan2(code[:, 4], code[:, 5]) / 2
     boxes = torch.stack([x, y, code[:, 2].clamp(-2, 4).exp(), code[:, 3].clamp(-2, 4).exp(), yaw], dim=-1)
-    return best.sigmoid(), boxes.reshape(batch, -1, 5)
+    return best.sigmoid(), boxes

@@ -28,7 +28,7 @@ class Targets:
     heat: 1 in the cell of a visible vehicle's centre, falling off around it.
     weight: 0 in cells that are not judged, 1 elsewhere.
     boxes: as in `Dense`, of the nearest visible vehicle.
-    box_weight: `heat` in the 3x3 neighbourhood of the centre cells, 0 elsewhere.
+    box_weight: `heat` where the centre is less than 1.5 cells away in x and in y, 0 elsewhere.
     """
 
     heat: Float[Tensor, "B h w"]

@@ -65,8 +65,9 @@ def learning_rate(step: int, args: Args) -> float:
 def train(args: Args, footage: list[Footage]) -> Detector:
     """Train, or go on training, until `args.steps`; checkpoints in `args.out`."""
     torch.set_num_threads(args.threads)
-    torch.manual_seed(args.seed)
-    detector = Detector()
+    with torch.random.fork_rng(devices=[]):  # torch's layers draw their first weights from the global generator
+        torch.manual_seed(args.seed)
+        detector = Detector()
     optimizer = torch.optim.AdamW(detector.parameters(), weight_decay=args.weight_decay)
     args.out.mkdir(parents=True, exist_ok=True)
     checkpoint = args.out / "checkpoint.pt"

@@ -26,7 +26,7 @@ def sender_points(
 
 
 def warp(
-    maps: Float[Tensor, "*n C H W"], ego_T_sender: Float[Tensor, "*n 3"], extent: float
+    maps: Float[Tensor, "*n C H W"], ego_T_sender: Float[Tensor, "*m 3"], extent: float
 ) -> Float[Tensor, "*n C H W"]:
     """The maps as the ego would have drawn them: what lies at p in the sender's frame lies at ego_T_sender · p here."""
     if maps.shape[:-3] != ego_T_sender.shape[:-1]:
