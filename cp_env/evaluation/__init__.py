@@ -11,11 +11,11 @@ An attacker comes from outside: this package knows what it does (`reset`, `act`)
 
 from __future__ import annotations
 
+from cp_env.evaluation.cells import Cell, Protocol, parse, plan
 from cp_env.evaluation.figures import Row, summarise
-from cp_env.evaluation.plan import Cell, Protocol, parse, plan
-from cp_env.evaluation.play import Attacker, play
 from cp_env.evaluation.report import about, markdown, write_report
 from cp_env.evaluation.runner import Crew, open_bank, prepare, run
+from cp_env.evaluation.stage import Attacker, play
 from cp_env.evaluation.store import Record, Store
 
 __all__ = [

@@ -13,7 +13,7 @@ from itertools import groupby
 import numpy as np
 from jaxtyping import Int
 
-from cp_env.evaluation.plan import NOBODY, Cell
+from cp_env.evaluation.cells import NOBODY, Cell
 from cp_env.evaluation.store import IOUS, Counted, Record
 from cp_env.intervals import Interval, bootstrap_interval, t_interval
 from cp_env.metrics import id_rate, mc_rate, recovery, resampled_ap
@@ -85,8 +85,8 @@ def _row(
 
     def mean(figure: Callable[[Record], float | None]) -> Interval | None:
         values = [[value for r in scene if (value := figure(r)) is not None] for scene in scenes.values()]
-        means = [float(np.mean(scene)) for scene in values if scene]
-        return t_interval(means) if means else None
+        means = np.array([np.mean(scene) for scene in values if scene])
+        return t_interval(means) if len(means) else None
 
     def sure(figure: Callable[[Record], float]) -> Interval:
         interval = mean(figure)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from cp_env.bank import SceneBank
 from cp_env.camera import Camera
-from cp_env.evaluation.plan import Cell, Protocol, parse
-from cp_env.evaluation.play import brief, open_world
+from cp_env.evaluation.cells import Cell, Protocol, parse
 from cp_env.evaluation.runner import MakeAttacker
+from cp_env.evaluation.stage import brief, open_world
 from cp_env.rendering import Image3
 
 

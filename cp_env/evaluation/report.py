@@ -10,8 +10,8 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+from cp_env.evaluation.cells import Protocol
 from cp_env.evaluation.figures import Row
-from cp_env.evaluation.plan import Protocol
 from cp_env.evaluation.store import write_atomically
 from cp_env.intervals import Interval
 

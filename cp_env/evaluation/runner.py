@@ -14,8 +14,8 @@ import torch
 
 from cp_env.bank import SceneBank
 from cp_env.detector import load_detector
-from cp_env.evaluation.plan import Cell, Protocol, parse
-from cp_env.evaluation.play import Attacker, Clock, play
+from cp_env.evaluation.cells import Cell, Protocol, parse
+from cp_env.evaluation.stage import Attacker, Clock, play
 from cp_env.evaluation.store import Store
 from cp_env.scenes import open_source
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
-from cp_env.evaluation.plan import Cell, Protocol
+from cp_env.evaluation.cells import Cell, Protocol
 from cp_env.metrics import ApMeter
 
 IOUS = (0.5, 0.7)

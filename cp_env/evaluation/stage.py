@@ -14,7 +14,7 @@ from torch import Tensor
 
 import defenders
 from cp_env.bank import SceneBank
-from cp_env.evaluation.plan import Cell, Protocol, parse
+from cp_env.evaluation.cells import Cell, Protocol, parse
 from cp_env.evaluation.store import IOUS, Record
 from cp_env.metrics import ApMeter
 from cp_env.world import Outcome, Situation, World
