@@ -75,10 +75,12 @@ def trace(
     pairs = _pairs(worlds, mounts, max_distance)
     which, column, enter, leave = _cross(pairs, directions(mounts, azimuths), device)
     above = torch.from_numpy(pairs.above).to(device).float()[which]
+    free = _in_the_open(column, enter, above, slope, len(mounts) * azimuths)
+    which, column, enter, leave, above = (a[free] for a in (which, column, enter, leave, above))
     owner = torch.from_numpy(pairs.owner).to(device).float()[which]
     height = torch.tensor([mount.z for mount in mounts], device=device)
     ground = torch.where(slope < 0, -height[:, None] / slope, math.inf).repeat_interleave(azimuths, 0)
-    distance = _meet(enter.float()[:, None], leave.float()[:, None], above[:, None], slope)
+    distance = _meet(enter[:, None], leave[:, None], above[:, None], slope)
     target = column[:, None].expand_as(distance)
     nearest = ground.scatter_reduce(0, target, distance, "amin")
     first = (distance == nearest.index_select(0, column)) & (distance < math.inf)
@@ -163,7 +165,24 @@ def _cross(
     enter = torch.minimum(one, other).amax(1).clamp_min(0.0)
     leave = torch.maximum(one, other).amin(1)
     hit = (enter < leave).nonzero()[:, 0]
-    return which[hit], column[hit], enter[hit], leave[hit]
+    return which[hit], column[hit], enter[hit].float(), leave[hit].float()
+
+
+def _in_the_open(
+    column: Int[Tensor, " R"],
+    enter: Float[Tensor, " R"],
+    above: Float[Tensor, " R"],
+    slope: Float[Tensor, " Be"],
+    columns: int,
+) -> Int[Tensor, " Q"]:
+    """The crossings that lie before the first in their column that stops even the highest beam.
+
+    No beam meets anything in the others. For speed only: in a street most of the town is behind the first house.
+    """
+    wall = torch.full((columns,), math.inf, device=enter.device)
+    stops = torch.where(above >= slope.max() * enter, enter, math.inf)
+    wall.scatter_reduce_(0, column, stops, "amin")
+    return (enter <= wall[column]).nonzero()[:, 0]
 
 
 def _meet(
