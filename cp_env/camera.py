@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from cp_env.rendering import Image3, Picture, draw
 from cp_env.world import Outcome, World
-from defenders.protocol import Defender
+from defenders import REGISTRY, Defender
 
 
 class Camera:
@@ -44,7 +44,6 @@ class Camera:
         everyone = frozenset(range(settings.n_maps))
         episode, frame = world.places[e]
         liars = frozenset(int(i) for i in world.attackers[e])
-        name = type(world.defenders[e]).__name__
         outcome = self._outcome if self._similarity[e] else None
         if outcome is not None and not outcome.truncated[e]:
             frame -= 1  # the world has moved on already
@@ -66,7 +65,7 @@ class Camera:
             verifications=0 if outcome is None else int(outcome.verifications[e]),
             damage=0.0 if outcome is None else float(outcome.damage[e]),
             title=episode.scene.name,
-            defence=f"defended by {name}",
+            defence=f"defended by {_name(world.defenders[e])}",
             threshold=_alarm(world.defenders[e], everyone),
             horizon=settings.max_frames,
             extent=world.detector.extent,
@@ -80,6 +79,11 @@ class Camera:
         places = np.array([sweep.origin[:2] - used[0].origin[:2] for sweep in used], dtype=np.float64)
         points = [s.points + np.array([*shift, 0.0], s.points.dtype) for s, shift in zip(used, places, strict=True)]
         return points, places
+
+
+def _name(defender: Defender) -> str:
+    """The name it goes by in `defenders.make`, else its class's."""
+    return next((name for name, made in REGISTRY.items() if made is type(defender)), type(defender).__name__)
 
 
 def _alarm(defender: Defender, everyone: frozenset[int]) -> float | None:

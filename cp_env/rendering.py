@@ -67,10 +67,10 @@ class Picture:
 def draw(picture: Picture) -> Image3:
     """The frame as an image: "everyone fused" left, the defended output right, similarity over time below."""
     image = Image.fromarray(_with_points(picture))
-    pen = ImageDraw.Draw(image)
     everyone = frozenset(range(len(picture.places)))
-    _panel(pen, picture, LEFT, "everyone fused", picture.seen, everyone, frozenset())
-    _panel(pen, picture, RIGHT, picture.defence, picture.output, picture.collaborators, picture.suspects)
+    _panel(image, picture, LEFT, "everyone fused", picture.seen, everyone, frozenset())
+    _panel(image, picture, RIGHT, picture.defence, picture.output, picture.collaborators, picture.suspects)
+    pen = ImageDraw.Draw(image)
     _header(pen, picture)
     _strip(pen, picture)
     return np.asarray(image)
@@ -99,10 +99,10 @@ def wrong_rows(boxes: Float[np.ndarray, "K 5"], truth: Float[np.ndarray, "L 5"])
 # ── the parts ────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
-def _pixels(x: np.ndarray, y: np.ndarray, left: int, extent: float) -> np.ndarray:
-    """Grid frame, m -> image pixels; north is up."""
+def _pixels(x: Float[np.ndarray, "*n"], y: Float[np.ndarray, "*n"], extent: float) -> Float[np.ndarray, "*n 2"]:
+    """Grid frame, m -> pixels of a panel; north is up."""
     scale = SIDE / (2 * extent)
-    return np.stack([left + (x + extent) * scale, TOP + (extent - y) * scale], axis=-1)
+    return np.stack([(x + extent) * scale, (extent - y) * scale], axis=-1)
 
 
 def _with_points(picture: Picture) -> Image3:
@@ -110,7 +110,7 @@ def _with_points(picture: Picture) -> Image3:
     canvas = _sheet(picture.extent).copy()
     points = np.concatenate([np.empty((0, 3)), *reversed(picture.points)])
     mine = np.arange(len(points)) >= len(points) - (len(picture.points[0]) if picture.points else 0)
-    cells = _pixels(points[:, 0], points[:, 1], 0, picture.extent).astype(int) - (0, TOP)
+    cells = _pixels(points[:, 0], points[:, 1], picture.extent).astype(int)
     inside = ((cells >= 0) & (cells < SIDE)).all(axis=1)
     low = points[:, 2] < STANDING
     for kind, colour in ((low, STREET), (~low & ~mine, OTHERS), (~low & mine, EGO)):
@@ -121,7 +121,7 @@ def _with_points(picture: Picture) -> Image3:
 
 
 def _panel(
-    pen: ImageDraw.ImageDraw,
+    image: Image.Image,
     picture: Picture,
     left: int,
     caption: str,
@@ -130,12 +130,16 @@ def _panel(
     suspects: frozenset[int],
 ) -> None:
     ghosts, missed = wrong_rows(boxes.boxes, picture.truth)
-    for row, outline in enumerate(_outlines(boxes.boxes, left, picture.extent)):
+    panel = image.crop((left, TOP, left + SIDE, TOP + SIDE))  # what is drawn on it ends at its edges
+    pen = ImageDraw.Draw(panel)
+    for row, outline in enumerate(_outlines(boxes.boxes, picture.extent)):
         _box(pen, outline, GHOST if row in ghosts else SEEN, 2 if row in ghosts else 3, row in ghosts)
-    for row, outline in enumerate(_outlines(picture.truth, left, picture.extent)):
+    for row, outline in enumerate(_outlines(picture.truth, picture.extent)):
         _box(pen, outline, MISSED if row in missed else TRUE, 2 if row in missed else 1, row in missed)
-    for number, (x, y, outward) in enumerate(_markers(picture, left)):
+    for number, (x, y, outward) in enumerate(_markers(picture)):
         _marker(pen, x, y, outward, str(number), number in fused, number in picture.liars, number in suspects)
+    image.paste(panel, (left, TOP))
+    pen = ImageDraw.Draw(image)
     counts = f"found {len(picture.truth) - len(missed)}   missed {len(missed)}   ghosts {len(ghosts)}"
     pen.text((left, TOP - 8), caption, INK, _font(15), anchor="ls")
     pen.text((left + SIDE, TOP - 8), counts, INK, _font(13), anchor="rs")
@@ -144,30 +148,28 @@ def _panel(
 
 def _box(pen: ImageDraw.ImageDraw, outline: list[tuple[float, float]], colour: Colour, width: int, wrong: bool) -> None:
     """A box; filled where truth and perception differ."""
-    pen.polygon(outline, fill=tuple((2 * g + c) // 3 for g, c in zip(GROUND, colour, strict=True)) if wrong else None)
+    pen.polygon(outline, fill=tuple((3 * g + c) // 4 for g, c in zip(GROUND, colour, strict=True)) if wrong else None)
     pen.polygon(outline, outline=colour, width=width)
 
 
-def _outlines(boxes: np.ndarray, left: int, extent: float) -> list[list[tuple[float, float]]]:
-    """Each box's corners in pixels, held inside the panel."""
+def _outlines(boxes: Float[np.ndarray, "L 5"], extent: float) -> list[list[tuple[float, float]]]:
+    """Each box's corners in pixels of a panel."""
     points = corners(boxes)
-    pixels = _pixels(points[..., 0], points[..., 1], left, extent)
-    pixels = pixels.clip((left, TOP), (left + SIDE - 1, TOP + SIDE - 1))
+    pixels = _pixels(points[..., 0], points[..., 1], extent)
     return [[(float(x), float(y)) for x, y in box] for box in pixels]
 
 
-def _markers(picture: Picture, left: int) -> list[tuple[float, float, tuple[float, float]]]:
+def _markers(picture: Picture) -> list[tuple[float, float, tuple[float, float]]]:
     """Where each vehicle's marker goes, and which way it lies when it is out of the picture (else (0, 0))."""
-    places = _pixels(picture.places[:, 0], picture.places[:, 1], left, picture.extent)
-    low, high = np.array([left + 14, TOP + 14]), np.array([left + SIDE - 15, TOP + SIDE - 15])
-    held = places.clip(low, high)
+    places = _pixels(picture.places[:, 0], picture.places[:, 1], picture.extent)
+    held = places.clip(14, SIDE - 15)
     outward = np.sign(places - held) * (np.abs(places - held) > 14)
     for number in np.flatnonzero(outward.any(axis=1)):  # side by side, where several are held at one spot
         others = np.delete(held, number, axis=0)
-        along = np.array([0.0, 24.0]) if outward[number, 0] else np.array([24.0, 0.0])
-        along *= -1.0 if (held[number] @ (along > 0)) > (low + high) @ (along > 0) / 2 else 1.0
+        axis = 1 if outward[number, 0] else 0  # along the edge, away from the nearer corner
+        step = 24.0 if held[number, axis] < SIDE / 2 else -24.0
         while len(others) and (np.linalg.norm(others - held[number], axis=1) < 22).any():
-            held[number] += along
+            held[number, axis] += step
     return [(float(x), float(y), (float(u), float(v))) for (x, y), (u, v) in zip(held, outward, strict=True)]
 
 
@@ -249,7 +251,7 @@ def _sheet(extent: float) -> Image3:
     pen = ImageDraw.Draw(image)
     ticks = np.arange(-extent, extent + 1, extent / 2)
     for left in (LEFT, RIGHT):
-        for value, (across, up) in zip(ticks, _pixels(ticks, ticks, left, extent), strict=True):
+        for value, (across, up) in zip(ticks, _pixels(ticks, ticks, extent) + np.array([left, TOP]), strict=True):
             pen.line((across, TOP, across, TOP + SIDE - 1), GRID)
             pen.line((left, up, left + SIDE - 1, up), GRID)
             unit = " m" if value == ticks[-1] else ""

@@ -106,7 +106,7 @@ def test_what_is_out_of_range_stays_inside_its_panel() -> None:
     far = np.array([[0.0, 0.0], [100.0, 3.0], [100.0, 3.0], [101.0, 3.0], [3.0, -90.0]])
     here = replace(NOTHING, points=[], places=far * 0.01)
     there = replace(here, places=far, points=[np.array([[40.0, 0.0, 1.0], [0.0, -33.0, 1.0]])])
-    difference = changed(replace(there, seen=detections((31.0, 31.0))), here)
+    difference = changed(replace(there, seen=detections((31.0, 31.0), (-32.0, 0.0))), here)
     panels = np.zeros_like(difference)
     for left in (rendering.LEFT, rendering.RIGHT):
         panels[rendering.TOP - 1 : rendering.TOP + 401, left - 1 : left + 401] = True
@@ -115,7 +115,7 @@ def test_what_is_out_of_range_stays_inside_its_panel() -> None:
     assert difference.any()
     assert not (difference & ~panels & ~caption).any()
 
-    markers = rendering._markers(there, rendering.LEFT)
+    markers = rendering._markers(there)
     spots = np.array([(x, y) for x, y, _ in markers])
     apart = np.linalg.norm(spots[:, None] - spots[None], axis=-1) + 100 * np.eye(len(spots))
     assert apart.min() >= 20
