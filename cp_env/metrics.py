@@ -13,13 +13,14 @@ from collections.abc import Callable, Collection, Iterable, Sequence
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from numpy.typing import ArrayLike
 
 from cp_env.boxes import pairwise_iou
 from cp_env.types import Detections
 
 
-def average_precision(detections: Sequence[Detections], truths: Sequence[Float[np.ndarray, "L 5"]], iou: float) -> float:
-    """AP over frames, in [0, 1]: `detections[t]` against the boxes `truths[t]`.
+def average_precision(detections: Sequence[Detections], truths: Sequence[ArrayLike], iou: float) -> float:
+    """AP over frames, in [0, 1]: `detections[t]` against the boxes `truths[t]` [L_t, 5].
 
     Without any truth it is 1 if there is no detection either, else 0.
 
@@ -29,7 +30,7 @@ def average_precision(detections: Sequence[Detections], truths: Sequence[Float[n
     if len(detections) != len(truths):
         raise ValueError(f"one truth a frame: got {len(detections)} frames of detections and {len(truths)} of truth")
     meter = ApMeter([iou])
-    for found, truth in zip(detections, truths):
+    for found, truth in zip(detections, truths, strict=True):
         meter.add(found, truth)
     return meter.value(iou)
 
@@ -47,8 +48,8 @@ class ApMeter:
         self._scores: list[Float[np.ndarray, " L"]] = []
         self._hits: list[Bool[np.ndarray, "I L"]] = []  # true positive at each threshold
 
-    def add(self, detections: Detections, truth: Float[np.ndarray, "L 5"]) -> None:
-        """Count one frame. Both in one frame of reference; neither is changed nor kept."""
+    def add(self, detections: Detections, truth: ArrayLike) -> None:
+        """Count one frame against the boxes `truth` [L, 5], both in one grid frame; neither is changed nor kept."""
         scores = np.array(detections.scores, dtype=np.float64)
         if np.isnan(scores).any():
             raise ValueError("scores must not be NaN: drop such detections first")
@@ -88,7 +89,7 @@ class ApMeter:
 
 
 def resampled_ap(meters: Sequence[ApMeter], iou: float) -> Callable[[Int[np.ndarray, " R"]], float]:
-    """The statistic for a bootstrap over scenes: given row numbers of `meters`, AP of those pooled, repeats counted again.
+    """A bootstrap's statistic: given row numbers of `meters` (scenes), AP of those pooled, repeats counted again.
 
     Detections are sorted once, so that each resample costs a few cumulative sums.
     """

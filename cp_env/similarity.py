@@ -20,8 +20,11 @@ from cp_env.boxes import overlaps
 from cp_env.types import View
 
 
-def match(a: Float[ArrayLike, "A 5"], b: Float[ArrayLike, "B 5"], iou: float = 0.5) -> Int[np.ndarray, "M 2"]:
-    """One-to-one pairs (row of a, row of b) with IoU above `iou`: as many as possible and, of these, of largest summed IoU.
+def match(a: ArrayLike, b: ArrayLike, iou: float = 0.5) -> Int[np.ndarray, "M 2"]:
+    """One-to-one pairs (row of a, row of b) of boxes [A, 5] and [B, 5] whose IoU exceeds `iou`, ordered by row of a.
+
+    Where a box has several candidates the pairs are chosen together (Hungarian method): as many pairs as possible and,
+    of those choices, the one of largest summed IoU.
 
     Raises:
         ValueError: boxes that are not [L, 5], not finite or of negative size; `iou` not in [0, 1).
@@ -30,21 +33,19 @@ def match(a: Float[ArrayLike, "A 5"], b: Float[ArrayLike, "B 5"], iou: float = 0
     return np.stack([i, j], axis=1)
 
 
-def jaccard(a: Float[ArrayLike, "A 5"], b: Float[ArrayLike, "B 5"], iou: float = 0.5) -> float:
+def jaccard(a: ArrayLike, b: ArrayLike, iou: float = 0.5) -> float:
     """Jaccard similarity of two sets of boxes in one frame, PRBI Eq. (5); see `jaccard_many`."""
     return float(jaccard_many([a], [b], iou)[0])
 
 
-def jaccard_many(
-    a: Sequence[Float[ArrayLike, "A 5"]], b: Sequence[Float[ArrayLike, "B 5"]], iou: float = 0.5
-) -> Float[np.ndarray, " V"]:
-    """|M| / (|a| + |b| - |M|) of `a[v]` and `b[v]`, PRBI Eq. (5), in [0, 1], for all v in one go.
+def jaccard_many(a: Sequence[ArrayLike], b: Sequence[ArrayLike], iou: float = 0.5) -> Float[np.ndarray, " V"]:
+    """|M| / (|a| + |b| - |M|) of the boxes `a[v]` [A_v, 5] and `b[v]` [B_v, 5], PRBI Eq. (5), for all v in one go.
 
     M are the pairs of `match`. Two empty sets are alike (1); an empty one and another are not (0).
     """
     view, _, _ = _matched(a, b, iou)
     pairs = np.bincount(view, minlength=len(a))
-    union = np.array([len(x) + len(y) for x, y in zip(a, b)], dtype=np.intp) - pairs
+    union = np.array([np.size(x) // 5 + np.size(y) // 5 for x, y in zip(a, b, strict=True)], dtype=np.intp) - pairs
     return np.where(union > 0, pairs / np.maximum(union, 1), 1.0)
 
 
@@ -69,10 +70,10 @@ def view_similarity_many(
 def agreement(a: View, b: View, *, extent: float = 32.0) -> float:
     """Consistency of two views' score maps, PASAC's CCLoss, in [0, 0.5]: higher is more consistent.
 
-    The classes j are vehicle (p) and background (1 - p). With P_j, Q_j the sums of the two maps over their common ground
-    and w_j = 1 / (P_j + Q_j)², the value is Σ_j w_j Σ_cells p_j q_j / Σ_j w_j (P_j + Q_j); a class absent from both maps is
-    left out. The older map is moved by the ego's motion to the nearest whole cell: interpolation would flatten its peaks
-    and make a view disagree with itself. `extent` is the range of the map, m.
+    The classes j are vehicle (p) and background (1 - p). With P_j, Q_j the sums of the two maps over their common
+    ground and w_j = 1 / (P_j + Q_j)², the value is Σ_j w_j Σ_cells p_j q_j / Σ_j w_j (P_j + Q_j); a class absent from
+    both maps is left out. The older map is moved by the ego's motion to the nearest whole cell: interpolation would
+    flatten its peaks and make a view disagree with itself. `extent` is the range of the map, m.
 
     Raises:
         ValueError: the maps differ in shape.
@@ -81,8 +82,8 @@ def agreement(a: View, b: View, *, extent: float = 32.0) -> float:
         raise ValueError(f"score maps of one detector have one shape; got {a.score_map.shape} and {b.score_map.shape}")
     older, newer = (a, b) if a.frame <= b.frame else (b, a)
     height, width = newer.score_map.shape
-    motion = (older.origin - newer.origin) * (width, height) / (2 * extent)  # cells; what was at column c is now at c + motion
-    right, up = np.rint(motion).astype(int)
+    cells = (older.origin - newer.origin) * (width, height) / (2 * extent)  # by which what stands still has moved
+    right, up = np.rint(cells).astype(int)
     if abs(right) >= width or abs(up) >= height:
         return 0.0
     p = older.score_map[max(-up, 0) : height - max(up, 0), max(-right, 0) : width - max(right, 0)].astype(np.float64)
@@ -93,9 +94,7 @@ def agreement(a: View, b: View, *, extent: float = 32.0) -> float:
     return float((shared[present] / total[present] ** 2).sum() / (1 / total[present]).sum())
 
 
-def _on_common_ground(
-    a: View, b: View, extent: float
-) -> tuple[Float[np.ndarray, "A 5"], Float[np.ndarray, "B 5"]]:
+def _on_common_ground(a: View, b: View, extent: float) -> tuple[Float[np.ndarray, "A 5"], Float[np.ndarray, "B 5"]]:
     """The boxes seen in a and in b that both views cover, a's moved into b's grid frame."""
     boxes_a, boxes_b = a.seen.boxes, b.seen.boxes
     motion = np.asarray(a.origin, dtype=np.float64) - b.origin  # b_T_a
@@ -109,19 +108,18 @@ def _on_common_ground(
 
 
 def _matched(
-    a: Sequence[Float[ArrayLike, "A 5"]], b: Sequence[Float[ArrayLike, "B 5"]], iou: float
+    a: Sequence[ArrayLike], b: Sequence[ArrayLike], iou: float
 ) -> tuple[Int[np.ndarray, " M"], Int[np.ndarray, " M"], Int[np.ndarray, " M"]]:
     """Matched pairs of all sets: arrays (v, row in a[v], row in b[v])."""
     if not 0 <= iou < 1:
         raise ValueError(f"iou is the overlap a match must exceed, in [0, 1); got {iou}")
-    view, i, j, value = overlaps(a, b)
-    above = value > iou
-    view, i, j, value = view[above], i[above], j[above], value[above]
+    view, i, j, value = overlaps(a, b, above=iou)
     if not len(view):
         return view, i, j
-    rivals_i = _occurrences(view * (i.max() + 1) + i)
-    rivals_j = _occurrences(view * (j.max() + 1) + j)
-    keep = (rivals_i == 1) & (rivals_j == 1)
+    alone_i = _occurrences(view * (i.max() + 1) + i) == 1
+    keep = alone_i & (_occurrences(view * (j.max() + 1) + j) == 1)
+    if keep.all():
+        return view, i, j
     contested = np.flatnonzero(~keep)
     for v in np.unique(view[contested]):
         rows = contested[view[contested] == v]
@@ -137,7 +135,7 @@ def _occurrences(keys: Int[np.ndarray, " P"]) -> Int[np.ndarray, " P"]:
 def _hungarian(
     i: Int[np.ndarray, " P"], j: Int[np.ndarray, " P"], value: Float[np.ndarray, " P"]
 ) -> Int[np.ndarray, " M"]:
-    """Which of the pairs (i, j) make the largest one-to-one matching, and of the largest the one of largest summed value."""
+    """Which of the pairs (i, j) make a largest one-to-one matching, and of those the one of largest summed value."""
     rows, i = np.unique(i, return_inverse=True)
     columns, j = np.unique(j, return_inverse=True)
     pair = np.full((len(rows), len(columns)), -1)
