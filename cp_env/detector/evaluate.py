@@ -7,8 +7,9 @@ attack's budget is to be judged.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -44,6 +45,7 @@ class Args:
     frames: int = 100  # of each scene, from its first on
     limit: int | None = None  # so many scenes only
     calibrate: bool = False  # choose the operating threshold on these scenes and write it into `weights`
+    json: Path | None = None  # where to write the figures too
     threads: int = 1
 
 
@@ -80,6 +82,10 @@ def watch(detector: Detector, source: SceneSource, args: Args) -> Iterator[Seen]
     names = source.names()[: args.limit]
     for name in tqdm(names, desc=f"evaluating {source.name}", unit="scene"):
         scene = source.load(name)
+        if scene.n_connected < args.n_vehicles:
+            raise ValueError(
+                f"scene {name} holds {scene.n_connected} connected vehicles, not {args.n_vehicles}; ask for fewer"
+            )
         frames = range(min(args.frames, scene.n_frames))
         for start in range(0, len(frames), CHUNK):
             part = frames[start : start + CHUNK]
@@ -176,12 +182,16 @@ def table(result: Report) -> Table:
     grid.add_column("AP@0.7")
     for size, (ap50, ap70) in enumerate(zip(result.ap50, result.ap70, strict=True), start=1):
         grid.add_row(str(size) if size > 1 else "1 (ego)", f"{ap50:.3f}", f"{ap70:.3f}")
-    grid.caption = (
+    return grid
+
+
+def remarks(result: Report) -> str:
+    """The other figures, in a sentence."""
+    return (
         f"consecutive frames: Jaccard {result.jaccard:.3f} at threshold {result.threshold:.3f} (precision "
         f"{result.precision:.3f}, recall {result.recall:.3f}); visible to anyone: {result.visible:.3f} of the truth; "
         f"shared maps: mean {result.mean:.2f}, 99th percentile {result.high:.2f}"
     )
-    return grid
 
 
 def main(args: Args) -> None:
@@ -198,7 +208,12 @@ def main(args: Args) -> None:
         trained = read_detector(args.weights)
         trained.threshold = threshold
         save_detector(trained, args.weights, **{**about(args.weights), "calibrated": args.scenes})
-    Console(width=120).print(table(report(seen, threshold)))
+    result = report(seen, threshold)
+    console = Console(width=120)
+    console.print(table(result))
+    console.print(remarks(result), highlight=False)
+    if args.json is not None:
+        args.json.write_text(json.dumps(asdict(result), indent=2) + "\n")
 
 
 if __name__ == "__main__":

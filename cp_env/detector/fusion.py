@@ -18,10 +18,12 @@ def mean(
     Each row is summed on its own, members in ascending order: a view does not depend on the views asked beside it.
     """
     pairs = zip(received.unbind(), coverage.unbind(), strict=True)
-    per_world = [list(zip(maps.unbind(), mask.unbind(), strict=True)) for maps, mask in pairs]
+    senders = [list(zip(maps.unbind(), masks.unbind(), strict=True)) for maps, masks in pairs]
     fused = []
     for row, group in zip(world.tolist(), groups.tolist(), strict=True):
-        members = [member for member, inside in zip(per_world[row], group, strict=True) if inside]
-        total = torch.stack([maps * mask for maps, mask in members]).sum(dim=0)
-        fused.append(total / torch.stack([mask for _, mask in members]).sum(dim=0).clamp(min=1))
+        total, count = torch.zeros_like(received[0, 0]), torch.zeros_like(coverage[0, 0])
+        for (maps, mask), member in zip(senders[row], group, strict=True):
+            if member:
+                total, count = torch.addcmul(total, maps, mask), count + mask
+        fused.append(total / count.clamp(min=1))
     return torch.stack(fused) if fused else received.new_zeros((0, *received.shape[2:]))

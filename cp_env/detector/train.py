@@ -1,7 +1,11 @@
 """Trains f_E and f_D together on random groups: `python -m cp_env.detector.train`.
 
 Kill it whenever you like: it goes on from its last checkpoint, and ends with the weights it would have had, because
-batches come from (seed, step) alone.
+batches come from (seed, step) alone. The weights still need their operating threshold, which
+
+    python -m cp_env.detector.evaluate --scenes town/calibration --weights runs/detector/mean.safetensors --calibrate
+
+chooses and writes into them.
 """
 
 from __future__ import annotations
@@ -20,7 +24,7 @@ from tqdm import trange
 from cp_env.detector.data import Batch, Footage, draw, prepare
 from cp_env.detector.detector import Detector
 from cp_env.detector.loss import detection_loss
-from cp_env.detector.weights import save_detector
+from cp_env.detector.weights import read_detector, save_detector
 from cp_env.scenes import open_source
 
 log = logging.getLogger(__name__)
@@ -40,6 +44,7 @@ class Args:
     agents: int = 5  # sensors a frame
     learning_rate: float = 3e-3  # at its highest: one cycle
     weight_decay: float = 1e-2
+    init: Path | None = None  # weights to start from; by default random ones
     seed: int = 0
     threads: int = 2
     checkpoint_every: int = 100
@@ -67,7 +72,7 @@ def train(args: Args, footage: list[Footage]) -> Detector:
     torch.set_num_threads(args.threads)
     with torch.random.fork_rng(devices=[]):  # torch's layers draw their first weights from the global generator
         torch.manual_seed(args.seed)
-        detector = Detector()
+        detector = Detector() if args.init is None else read_detector(args.init)
     optimizer = torch.optim.AdamW(detector.parameters(), weight_decay=args.weight_decay)
     args.out.mkdir(parents=True, exist_ok=True)
     checkpoint = args.out / "checkpoint.pt"
@@ -123,9 +128,10 @@ def main(args: Args) -> None:
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     torch.set_num_threads(args.threads)
     cache = args.cache or Path(platformdirs.user_cache_dir("cp_env")) / "training"
-    detector = train(args, prepare(open_source(args.scenes), cache, stride=args.stride))
+    source = open_source(args.scenes)
+    detector = train(args, prepare(source, cache, stride=args.stride))
     settings = {key: str(value) for key, value in asdict(args).items() if key not in ("out", "cache", "threads")}
-    save_detector(detector.eval(), args.out / "mean.safetensors", trained=settings)
+    save_detector(detector, args.out / "mean.safetensors", trained={**settings, "source": source.digest})
 
 
 if __name__ == "__main__":

@@ -74,9 +74,7 @@ def test_a_vehicle_outside_the_group_changes_nothing(
     assert not torch.equal(before[0], after[0])
 
 
-def test_the_order_of_senders_does_not_matter(
-    detector: Detector, situation: tuple[torch.Tensor, torch.Tensor]
-) -> None:
+def test_the_order_of_senders_does_not_matter(detector: Detector, situation: tuple[torch.Tensor, torch.Tensor]) -> None:
     received, coverage = situation
     order = torch.tensor([2, 0, 3, 1])
     turned = detector.fuse(received[:, order], coverage[:, order], WORLD, GROUPS[:, order])

@@ -25,7 +25,7 @@ def test_targets_by_hand() -> None:
     assert (both.heat == 1).nonzero().tolist() == [[0, 4, 9], [0, 13, 3]]
     expected = [-0.25, 0.0, math.log(4), math.log(2), 1.0, 0.0]
     assert both.boxes[0, :, 4, 9].tolist() == pytest.approx(expected, abs=1e-6)
-    assert both.boxes[0, :2, 5, 8].tolist() == pytest.approx([0.75, -1.0])  # from the cell to the north-west, (0.5, -2.5)
+    assert both.boxes[0, :2, 5, 8].tolist() == pytest.approx([0.75, -1.0])  # from the north-western cell, (0.5, -2.5)
     assert both.heat[0, 4, 11] == pytest.approx(math.exp(-(2.25**2) / 2))
     assert (both.box_weight[0] > 0).sum() == 9 + 4 and (both.weight == 1).all()
 
