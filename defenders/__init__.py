@@ -2,7 +2,7 @@
 
 >>> defender = make("prbi", epsilon=0.4)
 >>> names()
-    ('prbi', 'none', 'ego_only', 'oracle')
+('prbi', 'none', 'ego_only', 'oracle')
 """
 
 from __future__ import annotations

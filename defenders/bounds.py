@@ -32,13 +32,11 @@ class EgoOnly(NoDefence):
 
 
 class Oracle(NoDefence):
-    """Told who lies, fuses the others: no defender of this protocol can do better.
+    """Told who lies, fuses the others: the bound from above.
 
-    The one exception to "nothing says who lies": a referee that finds `needs_truth` calls `tell` with the liars of the
+    The one exception to "nothing says who lies": a referee calls `tell`, where a defender has it, with the liars of the
     episode before every `reset`. Where the liars are fixed, the constructor may be told instead.
     """
-
-    needs_truth = True
 
     def __init__(self, *, liars: Collection[int] | None = None) -> None:
         self.liars: frozenset[int] | None = None if liars is None else frozenset(liars)
@@ -48,12 +46,12 @@ class Oracle(NoDefence):
         self.liars = frozenset(int(i) for i in liars)
 
     def reset(self, n_vehicles: int, rng: np.random.Generator) -> None:
-        """ValueError if nobody told who lies, or if everyone or someone unknown does."""
+        """ValueError if nobody told who lies, or if everyone or someone unknown is said to."""
         super().reset(n_vehicles, rng)
         if self.liars is None:
             raise ValueError("the oracle was not told who lies; pass liars= or let the referee call tell() first")
         if not self.liars < frozenset(range(n_vehicles)):
-            raise ValueError(f"liars must be some but not all of {n_vehicles} vehicles, got {sorted(self.liars)}")
+            raise ValueError(f"liars must be fewer than all {n_vehicles} vehicles, got {sorted(self.liars)}")
 
     def inspect(self, frame: Frame) -> Inspection:
         yield from ()

@@ -89,5 +89,5 @@ def check_knobs(*, window: int, alpha: float, gamma: float, lam: float) -> None:
         raise ValueError(f"window is the number of values a t-test needs, at least 2, got {window}")
     if not 0 < alpha < 1:
         raise ValueError(f"alpha is a confidence level between 0 and 1, got {alpha}")
-    if gamma < 0 or lam <= 0:
+    if not (gamma >= 0 and lam > 0):
         raise ValueError(f"gamma must be at least 0 and lam above 0, or nobody is ever benign; got {gamma} and {lam}")

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Generator, Mapping
-from typing import Literal
 
 import numpy as np
 
 from defenders.evidence import check_knobs, estimate_liars, posterior, round_liars, settled
 from defenders.protocol import Defender, Frame, Inspection, Query, Verdict, View
-from defenders.readings import Reading, check_choice
+from defenders.readings import ROUNDINGS, Reading, check_choice
 from defenders.thresholds import open_thresholds
 
 Group = frozenset[int]
@@ -50,9 +49,9 @@ class Prbi(Defender):
         alpha: float = 0.01,
         gamma: float = 0.35,
         lam: float = 0.65,
-        threshold: Literal["paper", "calibrated"] | Mapping[int, float] = "paper",
-        rounding: Literal["floor", "nearest", "ceiling"] = "floor",
-        stopping: Literal["paper", "never"] = "paper",
+        threshold: str | Mapping[int, float] = "paper",
+        rounding: str = "floor",
+        stopping: str = "paper",
         reading: Reading | None = None,
     ) -> None:
         """Defaults are those of Sec. 11.1.
@@ -62,11 +61,11 @@ class Prbi(Defender):
         alpha       α, its confidence level
         gamma, lam  γ and λ, weights of the last posterior and of the normal ratio in the prior, Eq. (12)
         threshold   "paper": ε for every group; "calibrated": one per group size, shipped; or a mapping from size to ε
-        rounding    of m when vehicles are grouped and accused: Theorem 2 says what each does
+        rounding    "floor", "nearest" or "ceiling", of m when vehicles are grouped and accused: see Theorem 2
         stopping    "paper": both conditions of convergence; "never": go on verifying, to watch m
         """
         check_knobs(window=window, alpha=alpha, gamma=gamma, lam=lam)
-        check_choice("rounding", rounding, ("floor", "nearest", "ceiling"))
+        check_choice("rounding", rounding, ROUNDINGS)
         check_choice("stopping", stopping, ("paper", "never"))
         self.window, self.alpha, self.gamma, self.lam = window, alpha, gamma, lam
         self.epsilon = open_thresholds(threshold, epsilon)
@@ -133,7 +132,10 @@ class Prbi(Defender):
         """Attacker evaluation, lines 20-24."""
         self.m = estimate_liars(self.normal, self.total)
         self.probability = posterior(self.probability, self.normal, self.total, gamma=self.gamma, lam=self.lam)
-        self.order = np.lexsort((self.rng.permutation(len(self.order)), self.probability))
+        shuffled = self.rng.permutation(len(self.order))
+        self.order = shuffled[
+            np.argsort(self.probability[shuffled], kind="stable")
+        ]  # argsort(P_benign), ties at random
         self.attackers = frozenset(self.order[: round_liars(self.m, self.rounding)].tolist())  # Eq. (13)
 
     def _is_settled(self) -> bool:
@@ -141,7 +143,7 @@ class Prbi(Defender):
         if self.stopping == "never":
             return False
         mean = self.m if self.reading.mean == "m" else round_liars(self.m, "floor")
-        zeros = np.count_nonzero(self.probability == 0)
+        zeros = int(np.count_nonzero(self.probability == 0))
         return zeros == round_liars(self.m, self.reading.second) and settled(self.history, mean, self.alpha)
 
     def _collaborate(self, frame: Frame, groups: list[Group], views: Views) -> Inspection:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Generator, Iterable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -50,6 +50,7 @@ class Verdict:
         object.__setattr__(self, "converged", bool(converged))
 
 
+@runtime_checkable
 class Frame(Protocol):
     """One frame as a defender sees it. Nothing in it says who lies."""
 

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, get_args, get_type_hints
+
+SPLITS = ("once", "halves", "members", "replace")
+ROUNDINGS = ("floor", "nearest", "ceiling")
+MEANS = ("m", "floor")
 
 
 @dataclass(frozen=True)
@@ -17,7 +20,8 @@ class Reading:
               "replace"  nothing to N: the subset's abnormal detection of this frame becomes a normal one.
     refresh   whether m and P_benign are evaluated again after the divide and conquer. Lines 20-26 stand before it and
               are not repeated, so: no.
-    second    how m is rounded before the second condition compares it with the number of vehicles of probability zero.
+    second    how m is rounded ("floor", "nearest", "ceiling") before the second condition compares it with the number
+              of vehicles of probability zero.
     mean      what the mean of the window is compared with in Eq. (14): "m" of this frame, or "floor", ⌊m⌋.
 
     Measured under a perfect verifier, n = 5, 4,000 episodes a cell (`python examples/reproduce/prbi_perfect.py
@@ -26,15 +30,15 @@ class Reading:
     READINGS_TABLE
     """
 
-    split: Literal["once", "halves", "members", "replace"] = "once"
+    split: str = "once"
     refresh: bool = False
-    second: Literal["floor", "nearest", "ceiling"] = "floor"
-    mean: Literal["m", "floor"] = "m"
+    second: str = "floor"
+    mean: str = "m"
 
     def __post_init__(self) -> None:
-        hints = get_type_hints(Reading)
-        for name in ("split", "second", "mean"):
-            check_choice(name, getattr(self, name), get_args(hints[name]))
+        check_choice("split", self.split, SPLITS)
+        check_choice("second", self.second, ROUNDINGS)
+        check_choice("mean", self.mean, MEANS)
 
 
 def check_choice(name: str, value: object, known: tuple[str, ...]) -> None:

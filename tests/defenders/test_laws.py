@@ -1,0 +1,127 @@
+"""Laws that every registered defender keeps, whatever it is shown."""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+import pickle
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+import defenders
+from defenders import Defender, Frame
+from defenders.perfect import PerfectWorld, Ruling
+
+FRAMES = 10
+PROTOCOL = {"index", "n_vehicles", "seen", "similarity", "agreement"}
+
+
+class Guard:
+    """A frame that has the protocol's five names and nothing else."""
+
+    def __init__(self, frame: Frame) -> None:
+        self._shown = {name: getattr(frame, name) for name in PROTOCOL}
+
+    def __getattr__(self, name: str) -> object:
+        assert name in PROTOCOL, f"a defender looked for {name!r}"
+        return self._shown[name]
+
+
+@dataclass
+class FickleWorld(PerfectWorld):
+    """Similarities drawn from a hash of the views: normal, abnormal and contradictory frames in every order."""
+
+    seed: int = 0
+
+    def similarity(self, a: int, b: int) -> float:
+        digest = hashlib.blake2b(f"{self.seed} {min(a, b)} {max(a, b)}".encode(), digest_size=2).digest()
+        return int.from_bytes(digest, "big") / 65535
+
+    def show(self, lying: bool) -> Frame:
+        return Guard(super().show(lying))  # type: ignore[return-value]
+
+
+def begin(defender: Defender, n: int, seed: int) -> FickleWorld:
+    liars = frozenset({seed % n})
+    if (tell := getattr(defender, "tell", None)) is not None:
+        tell(liars)
+    defender.reset(n, np.random.default_rng(seed))
+    return FickleWorld(n, liars, seed=seed)
+
+
+def episode(defender: Defender, n: int, seed: int) -> list[Ruling]:
+    world = begin(defender, n, seed)
+    return [world.judge(defender) for _ in range(FRAMES)]
+
+
+@pytest.fixture(params=defenders.names())
+def defender(request: pytest.FixtureRequest) -> Defender:
+    return defenders.make(request.param)
+
+
+@pytest.mark.parametrize("n", range(2, 9))
+def test_groups_and_verdicts_hold_vehicles_only(defender: Defender, n: int) -> None:
+    """Groups and their number are checked by the world as well: QueryError."""
+    everyone = frozenset(range(n))
+    for seed in range(3):
+        for ruling in episode(defender, n, seed):
+            verdict = ruling.verdict
+            assert verdict.collaborators and verdict.collaborators <= everyone
+            assert verdict.suspects <= everyone
+            assert not verdict.suspects & verdict.collaborators, "nobody accused is fused"
+            assert all(group and group <= everyone for group in ruling.groups)
+
+
+@pytest.mark.parametrize("n", [2, 5, 8])
+def test_beliefs_are_probabilities(defender: Defender, n: int) -> None:
+    world = begin(defender, n, 0)
+    for _ in range(FRAMES):
+        belief = defender.belief()
+        assert belief.shape in ((0,), (n,))
+        assert ((belief >= 0) & (belief <= 1)).all()
+        world.judge(defender)
+
+
+@pytest.mark.parametrize("n", [2, 5, 8])
+def test_the_same_seed_asks_the_same(defender: Defender, n: int) -> None:
+    assert episode(copy.deepcopy(defender), n, 7) == episode(defender, n, 7)
+
+
+def test_reset_forgets_everything(defender: Defender) -> None:
+    fresh = episode(copy.deepcopy(defender), 5, 1)
+    episode(defender, 8, 2)
+    assert episode(defender, 5, 1) == fresh
+
+
+def test_state_survives_pickling_between_frames(defender: Defender) -> None:
+    expected = episode(copy.deepcopy(defender), 5, 3)
+    world = begin(defender, 5, 3)
+    for ruling in expected:
+        defender = pickle.loads(pickle.dumps(defender))
+        assert world.judge(defender) == ruling
+
+
+def test_two_instances_share_nothing(defender: Defender) -> None:
+    one, other = defender, defenders.make(copy.deepcopy(defender))
+    expected = episode(copy.deepcopy(one), 5, 4), episode(copy.deepcopy(other), 6, 5)
+    worlds = begin(one, 5, 4), begin(other, 6, 5)
+    rulings = [(worlds[0].judge(one), worlds[1].judge(other)) for _ in range(FRAMES)]
+    assert tuple(map(list, zip(*rulings, strict=True))) == expected
+
+
+def test_nobody_touches_the_global_generator(defender: Defender) -> None:
+    before = np.random.get_state()[1].copy()  # type: ignore[index, union-attr]  # noqa: NPY002
+    episode(defender, 5, 6)
+    assert (np.random.get_state()[1] == before).all()  # type: ignore[index]  # noqa: NPY002
+
+
+def test_the_guard_guards() -> None:
+    class Spy(defenders.NoDefence):
+        def inspect(self, frame: Frame) -> defenders.Inspection:
+            yield from ()
+            return defenders.Verdict(frame.liars)  # type: ignore[attr-defined]
+
+    with pytest.raises(AssertionError, match="liars"):
+        episode(Spy(), 5, 0)

@@ -1,0 +1,41 @@
+"""The real referee and the perfect world agree about every defender."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import defenders
+from cp_env.types import Detections, View
+from cp_env.verification import Frame, judge
+from defenders.perfect import PerfectWorld
+
+LIARS = frozenset({1, 4})
+
+
+def view(group: frozenset[int], frame: int) -> View:
+    """One car at the same place in the world, or none where a liar hides it."""
+    boxes = np.array([[8.0, 3.0, 4.5, 1.9, 0.2]])[: int(frame == 0 or LIARS.isdisjoint(group))]
+    found = Detections(boxes, np.full(len(boxes), 0.9))
+    return View(group, frame, np.zeros(2), found, found, np.zeros((64, 64)))
+
+
+@pytest.mark.parametrize("name", defenders.names())
+@pytest.mark.parametrize("seed", range(5))
+def test_same_verdicts_and_same_count(name: str, seed: int) -> None:
+    pair = [defenders.make(name), defenders.make(name)]
+    for defender in pair:
+        if (tell := getattr(defender, "tell", None)) is not None:
+            tell(LIARS)
+        defender.reset(5, np.random.default_rng(seed))
+    world = PerfectWorld(5, LIARS)
+    for t in range(8):
+        expected = world.judge(pair[0], lying=t > 0)
+        seen = view(frozenset(range(5)), t)
+        (got,) = judge([Frame(t, 5, seen)], [pair[1]], lambda pairs, t=t: [view(group, t) for _, group in pairs])
+        assert got.error is None
+        assert (got.verdict, got.groups, got.verifications) == (
+            expected.verdict,
+            expected.groups,
+            expected.verifications,
+        )
