@@ -15,11 +15,13 @@ def open_source(spec: str | SceneSource) -> SceneSource:
         spec: "town" (its training split), "town/train", "town/calibration", "town/test", or an object.
 
     Raises:
-        ValueError: unknown name; TypeError-like misuse is reported the same way.
+        ValueError: unknown name, an object that is no source, or a broken recording.
     """
     if not isinstance(spec, str):
         if not isinstance(spec, SceneSource):
-            raise ValueError(f"scenes must be a name or a SceneSource (name, digest, names, load, sweeps); got {spec!r}")
+            raise ValueError(
+                f"scenes must be a name or a SceneSource (name, digest, names, load, sweeps); got {spec!r}"
+            )
         return spec
     family, _, split = spec.partition("/")
     if family != "town" or (split or "train") not in SPLITS:

@@ -40,7 +40,7 @@ def candidates(tracks: Tracks, streets: Streets, rng: np.random.Generator, most:
         place = window[:, here]
         gap = np.linalg.norm(place[:, :, None] - place[:, None], axis=-1)
         casts = []
-        for ego in np.flatnonzero(_central(place, streets)):
+        for ego in np.flatnonzero(_central(place, streets)).tolist():
             partners = _partners(gap, ego)
             if len(partners) >= LEAST - 1:
                 value = _value(place, gap, ego, partners, travel) + rng.normal(0, 0.3)

@@ -1,4 +1,4 @@
-"""Figures of recorded scenes: how many vehicles, how many of them parked, standing or hidden, how calm the street is."""
+"""Figures of recorded scenes: how many vehicles, how many of them parked, standing or hidden; how calm a street."""
 
 from __future__ import annotations
 

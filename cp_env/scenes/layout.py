@@ -45,7 +45,7 @@ class Style:
 STYLES = {
     "urban": Style(0.86, 0.12, (0.2, 2.0), (9, 22), (0.0, 2.5), (8, 20), 0.15, 0.03, 0.1),
     "suburban": Style(0.62, 0.10, (2.5, 6.0), (9, 14), (3.0, 8.0), (4, 8), 0.80, 0.05, 0.7),
-    "intersection": Style(0.84, 0.30, (0.5, 4.0), (12, 26), (0.5, 6.0), (6, 18), 0.30, 0.03, 0.1),
+    "intersection": Style(0.82, 0.18, (0.5, 4.0), (12, 26), (0.5, 6.0), (6, 18), 0.30, 0.03, 0.1),
 }
 
 
@@ -88,22 +88,30 @@ def footprints(boxes: Float[np.ndarray, "B 6"]) -> np.ndarray:
 
 
 def furnish(
-    streets: Streets, kind: str, path: Float[np.ndarray, "T 2"], swept: np.ndarray, rng: np.random.Generator, reach: float
+    streets: Streets,
+    kind: str,
+    path: Float[np.ndarray, "T 2"],
+    swept: np.ndarray,
+    rng: np.random.Generator,
+    reach: float,
 ) -> Layout:
-    """Furnish what lies within `reach` m of the ego's `path`; nothing parks or stands in the polygons traffic has `swept`."""
+    """Furnish what lies within `reach` m of the ego's `path`, but for the polygons that traffic has `swept`."""
     style = STYLES[kind]
     area = shapely.MultiPoint(path).buffer(reach)
     kerbs = _kerbs(streets, style, area, rng)
     wanted = _stack([box for kerb in kerbs for box in _parked(kerb, style, rng)])
     shapes = footprints(wanted)
-    free = ~_near(shapes, swept, 0.25) & ~shapely.intersects(streets.carriageway, shapes) & shapely.contains(area, shapes)
+    free = ~shapely.intersects(streets.carriageway, shapes) & shapely.contains(area, shapes)
+    free &= ~_near(shapes, swept, 0.25)
     cars = wanted[_settle(shapes, free, 0.1)]
     obstacles = np.zeros((0, 6))
     makers: tuple[Callable[[Kerb, Style, np.random.Generator], Iterator[np.ndarray]], ...] = (_houses, _fences, _trunks)
     for make in makers:
         wanted = _stack([box for kerb in kerbs for box in make(kerb, style, rng)])
         shapes = footprints(wanted)
-        free = ~_near(shapes, np.concatenate([footprints(cars), swept]), 0.6) & ~_near(shapes, footprints(obstacles), 0.0)
+        free = ~_near(shapes, np.concatenate([footprints(cars), swept]), 0.6) & ~_near(
+            shapes, footprints(obstacles), 0.0
+        )
         free &= ~shapely.dwithin(streets.carriageway, shapes, 1.2) & shapely.intersects(area, shapes)
         obstacles = np.concatenate([obstacles, wanted[_settle(shapes, free, 0.0)]])
     return Layout(cars[:, :3], cars[:, 3:], obstacles)
@@ -162,10 +170,13 @@ def _parked(kerb: Kerb, style: Style, rng: np.random.Generator) -> Iterator[np.n
         if taken:
             turn = rng.choice([-1, 1]) * np.pi / 2 if kerb.across else 0.0
             half = (length if kerb.across else width) / 2
-            pose = kerb.at(along + room / 2, half + 0.35 + rng.normal(0, 0.07)) + [0, 0, turn + rng.normal(0, 0.02)]
+            out = half + 0.35 + rng.normal(0, 0.07)
+            pose = kerb.at(along + room / 2, out)
+            pose[2] += turn + rng.normal(0, 0.02)
         elif gate and length < LONGEST_ACROSS and rng.random() < style.drives:
             out = kerb.depth + PAVEMENT + length / 2 + rng.uniform(0.3, 2.0)
-            pose = kerb.at(along + gate / 2, out) + [0, 0, np.pi / 2 + rng.normal(0, 0.03)]
+            pose = kerb.at(along + gate / 2, out)
+            pose[2] += np.pi / 2 + rng.normal(0, 0.03)
         along += gate or room
         if pose is not None:
             yield np.array([*pose, length, width, height])
@@ -177,7 +188,9 @@ def _houses(kerb: Kerb, style: Style, rng: np.random.Generator) -> Iterator[np.n
         front, depth, height = rng.uniform(*style.front), rng.uniform(8, 13), rng.uniform(*style.height)
         out = kerb.depth + PAVEMENT + rng.uniform(*style.setback)
         for wide, deep in ((1.0, 1.0), (1.0, 0.55), (0.6, 0.8), (0.5, 0.45)):  # the first that has room stays
-            yield np.array([*kerb.at(along + front * wide / 2, out + depth * deep / 2), front * wide, depth * deep, height])
+            yield np.array(
+                [*kerb.at(along + front * wide / 2, out + depth * deep / 2), front * wide, depth * deep, height]
+            )
         along += front + rng.uniform(*style.gap)
 
 

@@ -9,7 +9,9 @@ Needs the extra `sumo`. Scenes are independent of each other; those already in t
 from __future__ import annotations
 
 import json
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
+from multiprocessing import get_context
 from pathlib import Path
 
 from cp_env.scenes import recording
@@ -30,6 +32,8 @@ class Args:
     """calibration scenes of each kind"""
     test: int = 7
     """test scenes of each kind"""
+    jobs: int = 1
+    """processes to share the work; the scenes do not depend on it"""
     describe: bool = False
     """print figures of the scenes in `out` instead of recording"""
 
@@ -40,27 +44,39 @@ def plan(train: int, calibration: int, test: int) -> dict[str, list[str]]:
     return {split: [f"{split}-{kind}-{k:02d}" for k in range(n) for kind in KINDS] for split, n in counts.items()}
 
 
-def main(args: Args) -> None:
-    """Record what is missing in `args.out`, or describe what is there."""
-    import torch
-    from tqdm import tqdm
+def _path(out: Path, name: str) -> Path:
+    return out / f"{name}.npz"
 
-    from cp_env.scenes.describe import table
+
+def _record(out: Path, name: str, seed: int) -> None:
+    """One scene into its file, in a process of its own (libsumo holds one simulation a process)."""
+    import torch
+
     from cp_env.scenes.staging import record
 
     torch.set_num_threads(1)
+    part = _path(out, name).with_suffix(".part")
+    recording.write(part, record(name, name.split("-")[1], seed))
+    part.replace(_path(out, name))
+
+
+def main(args: Args) -> None:
+    """Record what is missing in `args.out`, or describe what is there."""
+    from tqdm import tqdm
+
+    from cp_env.scenes.describe import table
+
     if args.describe:
         for split in SPLITS:
             tqdm.write(table(Town(split, args.out)) + "\n")
         return
     args.out.mkdir(parents=True, exist_ok=True)
     names = plan(args.train, args.calibration, args.test)
-    for name in tqdm([name for split in SPLITS for name in names[split]], desc="scenes", unit="scene"):
-        path = args.out / f"{name}.npz"
-        if not path.exists():
-            part = path.with_suffix(".part")
-            recording.write(part, record(name, name.split("-")[1], args.seed))
-            part.replace(path)
+    missing = [name for split in SPLITS for name in names[split] if not _path(args.out, name).exists()]
+    with ProcessPoolExecutor(args.jobs, mp_context=get_context("spawn")) as pool:
+        jobs = [pool.submit(_record, args.out, name, args.seed) for name in missing]
+        for job in tqdm(as_completed(jobs), total=len(jobs), desc="scenes", unit="scene"):
+            job.result()
     (args.out / INDEX).write_text(json.dumps(names, indent=1) + "\n")
 
 

@@ -9,6 +9,8 @@ Convention:
 from __future__ import annotations
 
 import zipfile
+import zlib
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -54,16 +56,27 @@ def read(path: Path, name: str) -> Scene:
     Raises:
         ValueError: the file is missing, broken, or of another version; the message names it.
     """
-    if not path.is_file():
-        raise ValueError(f"scene {name!r} needs the recording {path}, which does not exist; reinstall or record it again")
+    data = content(path, name)
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with np.load(BytesIO(data), allow_pickle=False) as file:
             arrays = {key: file[key] for key in file.files}
         if int(arrays["version"]) != VERSION:
             raise ValueError(f"version {int(arrays['version'])}, this program reads {VERSION}")
         return _unpack(arrays, name)
-    except (ValueError, KeyError, IndexError, OSError, EOFError, zipfile.BadZipFile) as error:
+    except (ValueError, KeyError, IndexError, TypeError, OSError, EOFError, zipfile.BadZipFile, zlib.error) as error:
         raise ValueError(f"recording {path} is broken ({error}); reinstall or record it again") from error
+
+
+def content(path: Path, name: str) -> bytes:
+    """The bytes of the recording of scene `name`.
+
+    Raises:
+        ValueError: `path` cannot be read.
+    """
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise ValueError(f"scene {name!r} needs the recording {path}: {error}; reinstall or record it again") from error
 
 
 def _unpack(arrays: dict[str, np.ndarray], name: str) -> Scene:

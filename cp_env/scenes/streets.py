@@ -1,4 +1,4 @@
-"""Street networks drawn from a seed and built by SUMO's netconvert: a town grid, a suburb of bent lanes, one large crossing."""
+"""Street networks drawn from a seed, built by netconvert: a town grid, a suburb of bent lanes, one large crossing."""
 
 from __future__ import annotations
 
@@ -9,12 +9,14 @@ from pathlib import Path
 
 import numpy as np
 import shapely
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from shapely.geometry import LineString, Polygon
 
 STUB = 100.0  # m: the streets that lead out of a network, where traffic enters and leaves
 LANE_WIDTH = 3.2  # m
 SPEED = 7.5  # m/s: the limit; a 30 km/h zone driven with some care
+
+NEEDS_SUMO = "recording scenes needs SUMO; install this package with its extra: pip install '.[sumo]'"
 
 
 @dataclass
@@ -32,7 +34,9 @@ class Plan:
         p, q = (np.array(self.nodes[name][:2]) for name in (a, b))
         along = q - p
         left = np.array([-along[1], along[0]]) / np.hypot(*along)
-        shape = [tuple(p + t * along + 4 * t * (1 - t) * bend * left) for t in np.linspace(0, 1, 9)[1:-1]] if bend else []
+        shape = (
+            [tuple(p + t * along + 4 * t * (1 - t) * bend * left) for t in np.linspace(0, 1, 9)[1:-1]] if bend else []
+        )
         self.streets.append((a, b, lanes, shape))
 
 
@@ -64,62 +68,76 @@ def draw(kind: str, rng: np.random.Generator) -> tuple[Plan, float]:
     return {"urban": _urban, "suburban": _suburban, "intersection": _intersection}[kind](rng)
 
 
+@dataclass(frozen=True)
+class Grid:
+    """A bent and thinned-out grid of streets."""
+
+    spacing: tuple[float, float]  # m between crossings
+    jitter: float  # m: spread of a crossing about its place
+    bend: float  # m: spread of the middle of a street about its chord
+    drop: float  # share of the streets left out
+    signals: float  # share of crossings with traffic lights
+    radius: float
+
+
+SIDE = 4  # crossings along each side of a grid
+
+
 def _urban(rng: np.random.Generator) -> tuple[Plan, float]:
-    n = 4
-    lanes = rng.choice([1, 1, 2], size=(2, n))
-    return _grid(rng, n, spacing=(44, 76), jitter=5.0, lanes=lanes, drop=0.08, bend=0.0, signals=0.9), 85.0
+    lanes = rng.choice([1, 1, 2], size=(2, SIDE))
+    return _grid(rng, Grid(spacing=(44, 76), jitter=5, bend=0, drop=0.08, signals=0.9, radius=85), lanes)
 
 
 def _suburban(rng: np.random.Generator) -> tuple[Plan, float]:
-    n = 4
-    lanes = np.ones((2, n), dtype=int)
-    return _grid(rng, n, spacing=(46, 82), jitter=10.0, lanes=lanes, drop=0.22, bend=7.0, signals=0.45), 85.0
+    lanes = np.ones((2, SIDE), dtype=int)
+    return _grid(rng, Grid(spacing=(46, 82), jitter=10, bend=7, drop=0.22, signals=0.45, radius=85), lanes)
 
 
-def _grid(rng, n, *, spacing, jitter, lanes, drop, bend, signals) -> Plan:
+def _grid(rng: np.random.Generator, grid: Grid, lanes: Int[np.ndarray, "2 n"]) -> tuple[Plan, float]:
+    """`lanes`: each way, of the streets west-east in row j and south-north in column i."""
     plan = Plan()
-    xs, ys = (np.cumsum(rng.uniform(*spacing, size=n)) for _ in range(2))
+    xs, ys = (np.cumsum(rng.uniform(*grid.spacing, size=SIDE)) for _ in range(2))
     xs, ys = xs - xs.mean(), ys - ys.mean()
-    for i in range(n):
-        for j in range(n):
-            kind = "traffic_light" if rng.random() < signals else "priority"
-            plan.node(f"n{i}{j}", *(np.array([xs[i], ys[j]]) + rng.normal(0, jitter, 2)), kind)
-    for i in range(n):
-        for j in range(n):
-            for di, dj in ((1, 0), (0, 1)):
-                if i + di < n and j + dj < n and rng.random() >= drop:
-                    width = int(lanes[0, j] if di else lanes[1, i])
-                    plan.street(f"n{i}{j}", f"n{i + di}{j + dj}", width, rng.normal(0, bend) if bend else 0.0)
-    for i in range(n):
+    for i, j in np.ndindex(SIDE, SIDE):
+        kind = "traffic_light" if rng.random() < grid.signals else "priority"
+        x, y = np.array([xs[i], ys[j]]) + rng.normal(0, grid.jitter, 2)
+        plan.node(f"n{i}{j}", x, y, kind)
+    for i, j in np.ndindex(SIDE, SIDE):
+        for di, dj in ((1, 0), (0, 1)):
+            if i + di < SIDE and j + dj < SIDE and rng.random() >= grid.drop:
+                width = int(lanes[0, j] if di else lanes[1, i])
+                bend = rng.normal(0, grid.bend) if grid.bend else 0.0
+                plan.street(f"n{i}{j}", f"n{i + di}{j + dj}", width, bend)
+    for i in range(SIDE):
         for name, at, step, width in (
             (f"s{i}", f"n{i}0", (0, -1), lanes[1, i]),
-            (f"n_{i}", f"n{i}{n - 1}", (0, 1), lanes[1, i]),
+            (f"n_{i}", f"n{i}{SIDE - 1}", (0, 1), lanes[1, i]),
             (f"w{i}", f"n0{i}", (-1, 0), lanes[0, i]),
-            (f"e{i}", f"n{n - 1}{i}", (1, 0), lanes[0, i]),
+            (f"e{i}", f"n{SIDE - 1}{i}", (1, 0), lanes[0, i]),
         ):
             x, y, _ = plan.nodes[at]
             plan.node(name, x + STUB * step[0], y + STUB * step[1], "dead_end")
             plan.street(name, at, int(width))
-    return plan
+    return plan, grid.radius
 
 
 def _intersection(rng: np.random.Generator) -> tuple[Plan, float]:
     plan = Plan()
     plan.node("c", 0, 0, "traffic_light")
     arms = 3 if rng.random() < 0.25 else 4
-    turn = 2 * np.pi / 4
     lanes = rng.choice([2, 3], size=2)
     for k in range(arms):
-        angle = k * turn + rng.normal(0, 0.14)
+        angle = k * np.pi / 2 + rng.normal(0, 0.14)
         out = np.array([np.cos(angle), np.sin(angle)])
         near, far = rng.uniform(85, 115), rng.uniform(170, 190)
-        plan.node(f"m{k}", *(near * out), "priority")
-        plan.node(f"a{k}", *(far * out), "dead_end")
+        plan.node(f"m{k}", near * out[0], near * out[1], "priority")
+        plan.node(f"a{k}", far * out[0], far * out[1], "dead_end")
         plan.street(f"m{k}", "c", int(lanes[k % 2]), rng.normal(0, 3))
         plan.street(f"a{k}", f"m{k}", int(lanes[k % 2]))
         if rng.random() < 0.6:  # a side street
             side = angle + rng.choice([-1, 1]) * (np.pi / 2 + rng.normal(0, 0.15))
-            plan.node(f"b{k}", *(near * out + 75 * np.array([np.cos(side), np.sin(side)])), "dead_end")
+            x, y = near * out + 75 * np.array([np.cos(side), np.sin(side)])
+            plan.node(f"b{k}", x, y, "dead_end")
             plan.street(f"b{k}", f"m{k}", 1)
     return plan, 60.0
 
@@ -134,17 +152,16 @@ def build(plan: Plan, radius: float, folder: Path) -> Streets:
         line = [ends[0], *shape, ends[1]]
         for tail, head, points in ((a, b, line), (b, a, line[::-1])):
             text = " ".join(f"{x:.2f},{y:.2f}" for x, y in points)
-            ET.SubElement(
-                edges, "edge", id=f"{tail}-{head}", to=head, numLanes=str(lanes), speed=f"{SPEED}",
-                width=f"{LANE_WIDTH}", shape=text, **{"from": tail},
-            )  # fmt: skip
+            attributes = {"id": f"{tail}-{head}", "from": tail, "to": head, "numLanes": str(lanes), "shape": text}
+            ET.SubElement(edges, "edge", attributes, speed=str(SPEED), width=str(LANE_WIDTH))
     files = {name: folder / f"plan.{name}.xml" for name in ("nod", "edg", "net")}
     ET.ElementTree(nodes).write(files["nod"])
     ET.ElementTree(edges).write(files["edg"])
     command = [
         _tool("netconvert"), "-n", files["nod"], "-e", files["edg"], "-o", files["net"], "--no-turnarounds",
-        "--tls.green.time", "14", "--tls.yellow.time", "3", "--tls.left-green.time", "5", "--junctions.corner-detail", "5",
-        "--default.junctions.radius", "5", "--offset.disable-normalization", "--no-warnings",
+        "--tls.green.time", "14", "--tls.yellow.time", "3", "--tls.left-green.time", "5",
+        "--junctions.corner-detail", "5", "--default.junctions.radius", "5",
+        "--offset.disable-normalization", "--no-warnings",
     ]  # fmt: skip
     done = subprocess.run([str(part) for part in command], capture_output=True, text=True)
     if done.returncode:
@@ -156,13 +173,11 @@ def _read(net: Path, radius: float) -> Streets:
     root = ET.parse(net).getroot()
     lanes = []
     for edge in root.iter("edge"):
-        if edge.get("function") not in (None, "internal"):
-            continue
-        for lane in edge.iter("lane"):
-            width = float(lane.get("width", LANE_WIDTH))
-            lanes.append(
-                Lane(edge.get("id", ""), int(lane.get("index", 0)), _points(lane), width, edge.get("function") is not None)
-            )
+        if edge.get("function") in (None, "internal"):
+            for lane in edge.iter("lane"):
+                width = float(lane.get("width", LANE_WIDTH))
+                index, internal = int(lane.get("index", 0)), edge.get("function") is not None
+                lanes.append(Lane(edge.get("id", ""), index, _points(lane), width, internal))
     areas = [LineString(lane.shape).buffer(lane.width / 2, cap_style="flat") for lane in lanes]
     spots = []
     for junction in root.iter("junction"):
@@ -196,7 +211,7 @@ def _tool(name: str) -> Path:
         ImportError: SUMO is not installed; the message says how to get it.
     """
     try:
-        import sumo
+        import sumo  # type: ignore[import-untyped]
     except ImportError as error:
-        raise ImportError("recording scenes needs SUMO; install this package with its extra: pip install '.[sumo]'") from error
+        raise ImportError(NEEDS_SUMO) from error
     return Path(sumo.SUMO_HOME) / "bin" / name

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Sequence
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from pathlib import Path
 
 from cp_env.scenes import recording
@@ -25,7 +25,7 @@ class Town:
         folder: where `python -m cp_env.scenes.record` wrote; the recordings of the package by default.
 
     Raises:
-        ValueError: unknown split; the folder's index is missing or broken.
+        ValueError: unknown split; the folder's index is missing or broken, or names a recording that is missing.
     """
 
     def __init__(self, split: str = "train", folder: Path = DATA) -> None:
@@ -34,6 +34,7 @@ class Town:
         self.name = f"town/{split}"
         self._folder = Path(folder)
         self._names = _index(self._folder / INDEX, split)
+        self.digest = self._digest()  # changes with any recording of the split and with the LiDAR
 
     def names(self) -> tuple[str, ...]:
         """The scenes of this split, in a fixed order."""
@@ -53,17 +54,12 @@ class Town:
 
         return lidar.scan([(scene, int(frame)) for frame in frames])
 
-    @cached_property
-    def digest(self) -> str:
-        """Changes with any recording of the split and with the LiDAR's specification."""
+    def _digest(self) -> str:
         from cp_env import lidar
 
         sha = hashlib.sha256(repr((self.name, lidar.DIGEST, lidar.VEHICLE, lidar.RSU)).encode())
         for name in self._names:
-            path = self._path(name)
-            if not path.is_file():
-                raise ValueError(f"scene {name!r} needs the recording {path}, which does not exist")
-            sha.update(path.read_bytes())
+            sha.update(recording.content(self._path(name), name))
         return sha.hexdigest()
 
     def _path(self, name: str) -> Path:
@@ -85,4 +81,6 @@ def _index(path: Path, split: str) -> tuple[str, ...]:
     try:
         return tuple(str(name) for name in json.loads(path.read_text())[split])
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise ValueError(f"index of recordings {path} is missing or broken ({error}); reinstall or record again") from error
+        raise ValueError(
+            f"index of recordings {path} is missing or broken ({error}); reinstall or record again"
+        ) from error

@@ -8,12 +8,13 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from cp_env.scenes.fleet import draw_sizes
-from cp_env.scenes.streets import Streets
+from cp_env.scenes.streets import NEEDS_SUMO, Streets
 
 DT = 0.2  # s: 5 Hz
 AXLE = 0.8  # of its length lies a vehicle's rear axle behind its front bumper
@@ -30,18 +31,25 @@ class Tracks:
 
 
 def drive(
-    streets: Streets, folder: Path, rng: np.random.Generator, *, crowd: int, warm_up: float = 90.0, seconds: float = 90.0
+    streets: Streets,
+    folder: Path,
+    rng: np.random.Generator,
+    *,
+    crowd: int,
+    warm_up: float = 90.0,
+    seconds: float = 90.0,
 ) -> Tracks:
     """Simulate `warm_up` + `seconds` s with at most `crowd` vehicles at once; the last `seconds` are kept."""
     sizes = draw_sizes(N_TYPES, rng, parked=False)
     routes = folder / "trips.rou.xml"
     _write_trips(routes, streets, sizes, rng, horizon=warm_up + seconds)
     sumo = _simulator()
-    sumo.start(
-        ["sumo", "-n", str(streets.net), "-r", str(routes), "--step-length", str(DT), "--seed", str(int(rng.integers(1 << 30))),
-         "--max-num-vehicles", str(crowd), "--lanechange.duration", "3", "--time-to-teleport", "60", "--no-step-log",
-         "--no-warnings", "--ignore-route-errors", "--collision.action", "none", "--default.speeddev", "0"]
-    )  # fmt: skip
+    sumo.start([
+        "sumo", "-n", str(streets.net), "-r", str(routes), "--step-length", str(DT),
+        "--seed", str(int(rng.integers(1 << 30))), "--max-num-vehicles", str(crowd), "--lanechange.duration", "3",
+        "--time-to-teleport", "60", "--collision.action", "none", "--default.speeddev", "0",
+        "--no-step-log", "--no-warnings", "--ignore-route-errors",
+    ])  # fmt: skip
     try:
         for _ in range(round(warm_up / DT)):
             sumo.simulationStep()
@@ -71,11 +79,10 @@ def _write_trips(
     for k, depart in enumerate(np.arange(0, horizon, 0.35)):
         source = streets.sources[rng.integers(len(streets.sources))]
         sinks = [edge for edge in streets.sinks if edge.split("-")[::-1] != source.split("-")]
-        trip = {"from": source, "to": sinks[rng.integers(len(sinks))]}
-        ET.SubElement(
-            root, "trip", id=f"v{k}", type=str(rng.integers(len(sizes))), depart=f"{depart:.2f}", departLane="random",
-            departSpeed="max", departPos="0", **trip,
-        )  # fmt: skip
+        trip = {"id": f"v{k}", "from": source, "to": sinks[rng.integers(len(sinks))]}
+        kind = str(rng.integers(len(sizes)))
+        start = {"depart": f"{depart:.2f}", "departLane": "random", "departSpeed": "max", "departPos": "0"}
+        ET.SubElement(root, "trip", {**trip, **start}, type=kind)
     ET.ElementTree(root).write(path)
 
 
@@ -110,9 +117,9 @@ def _far(a: tuple[float, float], b: tuple[float, float]) -> bool:
     return abs(a[0] - b[0]) + abs(a[1] - b[1]) > JUMP
 
 
-def _simulator():  # noqa: ANN202  libsumo has no types
+def _simulator() -> Any:
     try:
         import libsumo
     except ImportError as error:
-        raise ImportError("recording scenes needs SUMO; install this package with its extra: pip install '.[sumo]'") from error
+        raise ImportError(NEEDS_SUMO) from error
     return libsumo
