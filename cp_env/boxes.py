@@ -24,6 +24,7 @@ _ALONG = np.array([-2.0, 0.0, 2.0, 0.0])[:, None]
 _ACROSS = np.array([0.0, -2.0, 0.0, 2.0])[:, None]
 _TINY = 1e-150  # m; in place of zero where an edge does not advance along an axis
 _BLOCK = 512  # pairs computed together: their arrays stay in the processor's cache, which halves the time
+_ROUNDING = 1e-14  # an IoU up to this is what rounding leaves of none
 _SMALLEST = float(np.finfo(np.float64).tiny)
 
 
@@ -138,8 +139,10 @@ def _iou(a: Float[np.ndarray, "P 5"], b: Float[np.ndarray, "P 5"]) -> Float[np.n
         return np.concatenate([_iou(a[k : k + _BLOCK], b[k : k + _BLOCK]) for k in range(0, len(a), _BLOCK)])
     a, b = np.ascontiguousarray(a.T), np.ascontiguousarray(b.T)
     area_a, area_b = a[2] * a[3], b[2] * b[3]
-    shared = _clamp(_intersection(a, b), 0.0, np.minimum(area_a, area_b))  # rounding only
-    return shared / np.maximum(area_a + area_b - shared, _SMALLEST)
+    shared = _clamp(_intersection(a, b), 0.0, np.minimum(area_a, area_b))
+    share = shared / np.maximum(area_a + area_b - shared, _SMALLEST)
+    share *= share > _ROUNDING
+    return share
 
 
 def _intersection(a: Float[np.ndarray, "5 P"], b: Float[np.ndarray, "5 P"]) -> Float[np.ndarray, " P"]:
