@@ -133,9 +133,8 @@ class Prbi(Defender):
         self.m = estimate_liars(self.normal, self.total)
         self.probability = posterior(self.probability, self.normal, self.total, gamma=self.gamma, lam=self.lam)
         shuffled = self.rng.permutation(len(self.order))
-        self.order = shuffled[
-            np.argsort(self.probability[shuffled], kind="stable")
-        ]  # argsort(P_benign), ties at random
+        ranks = np.argsort(self.probability[shuffled], kind="stable")  # ties as they were shuffled
+        self.order = shuffled[ranks]
         self.attackers = frozenset(self.order[: round_liars(self.m, self.rounding)].tolist())  # Eq. (13)
 
     def _is_settled(self) -> bool:
