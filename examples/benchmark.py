@@ -3,8 +3,8 @@
     python examples/benchmark.py --small                                        # a few minutes; what `make demo` runs
     python examples/benchmark.py --ks 1 2 3 4 --seeds 0 1 2 --workers 2 --out out/benchmark
 
-Defenders and attackers are names, with knobs if need be: `prbi:threshold=calibrated`, `pgd:steps=30`. A killed run goes
-on where it stopped when the same command is given again.
+Defenders and attackers are names, with knobs if need be: `prbi:threshold=calibrated`, `pgd:steps=30`; a learned
+attacker is `policy:name=prbi`, or a file of yours. The same command goes on where a killed run stopped.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import torch
 import tyro
@@ -23,9 +23,12 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 import agents
+from agents.policy import load_policy
 from cp_env.evaluation import (
+    Attacker,
     Cell,
     Crew,
+    Learned,
     Protocol,
     Row,
     Store,
@@ -82,7 +85,7 @@ def main(args: Args) -> None:
         seeds=args.seeds,
         batch=args.batch,
     )
-    crew = Crew(make_attacker=agents.make, workers=args.workers, threads=args.threads)
+    crew = Crew(make_attacker=attacker, workers=args.workers, threads=args.threads)
     store = Store(args.out, open_bank(protocol).detector.digest)
     with Progress(
         TextColumn("{task.description:<10}"),
@@ -106,6 +109,11 @@ def main(args: Args) -> None:
     console.print("written:", *paths)
     if args.gif:
         console.print("filmed: ", write_gif(filmed(args, protocol), args.out / "episode.gif"))
+
+
+def attacker(name: str, **knobs: Any) -> Attacker | Learned:
+    """A scripted attacker by its name, or a learned one as `policy:name=…`."""
+    return load_policy(**knobs) if name == "policy" else agents.make(name, **knobs)
 
 
 def chosen(args: Args) -> tuple[str, ...]:
@@ -141,7 +149,7 @@ def filmed(args: Args, protocol: Protocol) -> list:
     defender = next((name for name in args.defenders if name.startswith("prbi")), args.defenders[-1])
     k = min(max(args.ks), 2)
     cell = Cell(defender, args.attackers[-1], k, args.seeds[0], protocol.names[:1])
-    return film(cell, protocol, open_bank(protocol), agents.make)
+    return film(cell, protocol, open_bank(protocol), attacker)
 
 
 if __name__ == "__main__":

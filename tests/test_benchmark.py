@@ -23,18 +23,20 @@ from cp_env.evaluation import (
     Protocol,
     Record,
     Row,
+    Stage,
     Store,
     about,
     markdown,
     parse,
     plan,
+    play,
     prepare,
     run,
     summarise,
     write_report,
 )
 from cp_env.evaluation.film import film
-from cp_env.evaluation.stage import open_world
+from cp_env.game import Game
 from cp_env.metrics import ApMeter
 from cp_env.types import Detections
 from defenders import Defender, Frame, Inspection, Verdict
@@ -215,13 +217,38 @@ def test_all_defenders_and_attacks_meet_the_same_liars(whole: Path) -> None:
 def test_the_seed_and_the_scene_decide_who_lies(bank: SceneBank) -> None:
     def liars(defender: str, seed: int) -> list[list[int]]:
         cell = Cell(defender, "pgd", 2, seed, PROTOCOL.names)
-        drawn: list[list[int]] = open_world(cell, PROTOCOL, bank).attackers.tolist()
+        drawn: list[list[int]] = Stage(cell, PROTOCOL, bank, agents.make("none")).world.attackers.tolist()
         return drawn
 
     assert liars("none", 7) == liars("prbi", 7)
     everyone = [tuple(pair) for seed in range(20) for pair in liars("none", seed)]
     assert {i for pair in everyone for i in pair} == {0, 1, 2, 3, 4}  # the ego too
     assert any(first != second for first, second in zip(everyone[::2], everyone[1::2], strict=True))
+
+
+class Habit:
+    """A learned attacker, as the stage sees one: always the same action."""
+
+    def __init__(self, bank: SceneBank) -> None:
+        self.knobs = {"action": "basis", "observation": "compact", "max_frames": 99}
+        self.shapes: list[tuple[int, ...]] = []
+        self.action = np.ones(Game(1, action="basis", bank=bank).single_action_space.shape, dtype=np.float32)
+
+    def __call__(self, observations: np.ndarray) -> np.ndarray:
+        self.shapes.append(observations.shape)
+        return np.broadcast_to(self.action, (*observations.shape[:2], *self.action.shape))
+
+
+def test_a_learned_attacker_plays_through_its_own_action_map(bank: SceneBank) -> None:
+    cell, habit = Cell("none", "habit", 2, 7, PROTOCOL.names), Habit(bank)
+    ticks = itertools.count()
+    records = play(cell, PROTOCOL, bank, habit, clock=lambda: float(next(ticks)))
+    assert [r.seconds for r in records] == [PROTOCOL.frames / 2] * 2  # a tick a step, shared by two worlds
+    assert [len(r.damage) for r in records] == [PROTOCOL.frames] * 2  # the protocol's frames, not the attacker's
+    assert [shape[:2] for shape in habit.shapes] == [(2, 2)] * PROTOCOL.frames
+    assert sum(sum(r.damage) for r in records) > 0
+    scripted = play(cell, PROTOCOL, bank, agents.make("none"))
+    assert [r.liars for r in scripted] == [r.liars for r in records]
 
 
 class Grumpy(Defender):

@@ -15,16 +15,18 @@ from cp_env.evaluation.cells import Cell, Protocol, parse, plan
 from cp_env.evaluation.figures import Row, summarise
 from cp_env.evaluation.report import about, markdown, write_report
 from cp_env.evaluation.runner import Crew, open_bank, prepare, run
-from cp_env.evaluation.stage import Attacker, play
+from cp_env.evaluation.stage import Attacker, Learned, Stage, play
 from cp_env.evaluation.store import Record, Store
 
 __all__ = [
     "Attacker",
     "Cell",
     "Crew",
+    "Learned",
     "Protocol",
     "Record",
     "Row",
+    "Stage",
     "Store",
     "about",
     "markdown",

@@ -15,11 +15,11 @@ import torch
 from cp_env.bank import SceneBank
 from cp_env.detector import load_detector
 from cp_env.evaluation.cells import Cell, Protocol, parse
-from cp_env.evaluation.stage import Attacker, Clock, play
+from cp_env.evaluation.stage import Attacker, Clock, Learned, play
 from cp_env.evaluation.store import Store
 from cp_env.scenes import open_source
 
-MakeAttacker = Callable[..., Attacker]
+MakeAttacker = Callable[..., Attacker | Learned]
 T = TypeVar("T")
 
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import time
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
+from typing import Any, runtime_checkable
 from typing import Protocol as Interface
-from typing import runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -16,54 +17,121 @@ import defenders
 from cp_env.bank import SceneBank
 from cp_env.evaluation.cells import Cell, Protocol, parse
 from cp_env.evaluation.store import IOUS, Record
+from cp_env.game import Game
 from cp_env.metrics import ApMeter
 from cp_env.world import Outcome, Situation, World
+
+VIEWPOINT = ("action", "observation", "knowledge")
+"""The knobs a learned attacker brings along; the rest is the protocol's."""
 
 
 @runtime_checkable
 class Attacker(Interface):
-    """What drives the liars of all worlds (see `agents.protocol`)."""
+    """A scripted attacker: it drives the liars of all worlds (see `agents.protocol`)."""
 
     def reset(self, n_worlds: int, rng: Sequence[np.random.Generator]) -> None: ...
 
     def act(self, situation: Situation) -> Float[Tensor, "E k C H W"]: ...
 
 
+@runtime_checkable
+class Learned(Interface):
+    """A learned attacker: from the observations of an environment made with `knobs` to its actions."""
+
+    @property
+    def knobs(self) -> Mapping[str, Any]: ...
+
+    def __call__(self, observations: Any) -> Float[np.ndarray, "E k a"]: ...
+
+
 Clock = Callable[[], float]
 
 
-def open_world(cell: Cell, protocol: Protocol, bank: SceneBank) -> World:
-    """The cell's world, each scene reset with a seed of its own: the same liars for every defender and attack."""
-    name, knobs = parse(cell.defender)
-    world = World(
-        len(cell.names), defender=defenders.make(name, **knobs), bank=bank, settings=protocol.settings(cell.k)
-    )
-    for e, scene in enumerate(cell.names):
-        world.reset([_seed(cell.seed, scene, 0)], worlds=[e], options={"scene": scene})
-    return world
+class Stage:
+    """A cell set up: every scene is reset with a seed of its own, the same for every defender and attack.
 
+    `world` is what is played, `move` plays one frame of it, `seconds` is what the world's steps took so far: perceiving
+    and defending, not attacking.
+    """
 
-def brief(attacker: Attacker, cell: Cell) -> None:
-    """Reset the attacker, one stream of random numbers a scene."""
-    streams = [np.random.default_rng(_seed(cell.seed, scene, 1)) for scene in cell.names]
-    attacker.reset(len(cell.names), streams)
+    def __init__(
+        self,
+        cell: Cell,
+        protocol: Protocol,
+        bank: SceneBank,
+        attacker: Attacker | Learned,
+        clock: Clock = time.perf_counter,
+    ) -> None:
+        name, knobs = parse(cell.defender)
+        defender = defenders.make(name, **knobs)
+        settings = asdict(protocol.settings(cell.k))
+        self.seconds = 0.0
+        if isinstance(attacker, Attacker):
+            self.world = World(len(cell.names), defender=defender, bank=bank, **settings)
+            _reset(self.world, cell)
+            self.move = self._scripted(attacker, [np.random.default_rng(_seed(cell.seed, s, 1)) for s in cell.names])
+        else:
+            settings |= {knob: attacker.knobs[knob] for knob in VIEWPOINT if knob in attacker.knobs}
+            game = Game(len(cell.names), defender, bank=bank, **settings)
+            self.world = game.world
+            self.move = self._learned(attacker, game, _reset(game, cell))
+        self._time(clock)
+
+    def _scripted(self, attacker: Attacker, streams: list[np.random.Generator]) -> Callable[[], Outcome]:
+        attacker.reset(len(streams), streams)
+        return lambda: self.world.step(attacker.act(self.world.situation()))
+
+    def _learned(self, attacker: Learned, game: Game, observations: Any) -> Callable[[], Outcome]:
+        held = [observations]
+
+        def move() -> Outcome:
+            held[0], *_ = game.step(attacker(held[0]))
+            assert game.outcome is not None
+            return game.outcome
+
+        return move
+
+    def _time(self, clock: Clock) -> None:
+        """Let a stopwatch run during the steps of this world, whoever calls them."""
+        step = self.world.step
+
+        def timed(delta: Float[Tensor, "E k C H W"]) -> Outcome:
+            start = clock()
+            outcome = step(delta)
+            self.seconds += clock() - start
+            return outcome
+
+        self.world.step = timed  # type: ignore[method-assign]
 
 
 def play(
-    cell: Cell, protocol: Protocol, bank: SceneBank, attacker: Attacker, clock: Clock = time.perf_counter
+    cell: Cell,
+    protocol: Protocol,
+    bank: SceneBank,
+    attacker: Attacker | Learned,
+    clock: Clock = time.perf_counter,
 ) -> list[Record]:
     """Play every scene of the cell to its end; one record a scene."""
-    world = open_world(cell, protocol, bank)
-    brief(attacker, cell)
-    tapes = [_Tape(scene, tuple(liars)) for scene, liars in zip(cell.names, world.attackers.tolist(), strict=True)]
+    stage = Stage(cell, protocol, bank, attacker, clock)
+    liars = stage.world.attackers.tolist()
+    tapes = [_Tape(scene, tuple(numbers)) for scene, numbers in zip(cell.names, liars, strict=True)]
     while any(tape.running for tape in tapes):
-        delta = attacker.act(world.situation())
-        start = clock()
-        outcome = world.step(delta)
-        seconds = (clock() - start) / len(tapes)
+        before = stage.seconds
+        outcome = stage.move()
         for e, tape in enumerate(tapes):
-            tape.add(outcome, e, seconds)
+            tape.add(outcome, e, (stage.seconds - before) / len(tapes))
     return [tape.record(protocol) for tape in tapes]
+
+
+def _reset(worlds: World | Game, cell: Cell) -> Any:
+    """Begin every world on its scene; a game's observations."""
+    seeds = [_seed(cell.seed, scene, 0) for scene in cell.names]
+    worlds.reset(seeds, options={"scene": cell.names[0]})  # a game observes all of its worlds at once
+    result = None
+    for e, (scene, seed) in enumerate(zip(cell.names, seeds, strict=True)):
+        fresh = np.random.SeedSequence(seed.entropy)  # spawning leaves its trace on a sequence
+        result = worlds.reset([fresh], worlds=[e], options={"scene": scene})
+    return result[0] if result else None
 
 
 class _Tape:
