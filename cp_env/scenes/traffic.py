@@ -40,10 +40,10 @@ def drive(
     seconds: float = 90.0,
 ) -> Tracks:
     """Simulate `warm_up` + `seconds` s with at most `crowd` vehicles at once; the last `seconds` are kept."""
+    sumo = _simulator()
     sizes = draw_sizes(N_TYPES, rng, parked=False)
     routes = folder / "trips.rou.xml"
     _write_trips(routes, streets, sizes, rng, horizon=warm_up + seconds)
-    sumo = _simulator()
     sumo.start([
         "sumo", "-n", str(streets.net), "-r", str(routes), "--step-length", str(DT),
         "--seed", str(int(rng.integers(1 << 30))), "--max-num-vehicles", str(crowd), "--lanechange.duration", "3",
@@ -114,7 +114,7 @@ def _tracks(frames: list[dict[str, tuple[float, float, float, str]]], sizes: Flo
 
 
 def _far(a: tuple[float, float], b: tuple[float, float]) -> bool:
-    return abs(a[0] - b[0]) + abs(a[1] - b[1]) > JUMP
+    return bool(abs(a[0] - b[0]) + abs(a[1] - b[1]) > JUMP)
 
 
 def _simulator() -> Any:
