@@ -89,8 +89,11 @@ class Detector(nn.Module):
         """What the ego's decoder makes of each group: `decode(fuse(...))`."""
         return self.decode(self.fuse(received, coverage, world, groups))
 
-    def detect(self, dense: Dense) -> list[Detections]:
-        """The boxes of each view, best first, down to `floor`, without overlaps and without the ego's own footprint."""
+    def detect(self, dense: Dense, own: Float[np.ndarray, "B 2"] | None = None) -> list[Detections]:
+        """The boxes of each view, best first, down to `floor`, without overlaps and without the ego itself.
+
+        `own` is where the ego stands in its grid frame in each view, m; at the origin by default.
+        """
         scores, boxes = (array.cpu().numpy() for array in peaks(dense, self.floor, self.extent, MOST_BOXES))
         centre = boxes[..., :2]
         valid = (scores > 0) & (np.hypot(*centre.T).T > OWN_RADIUS) & (np.abs(centre) <= self.extent).all(axis=-1)
@@ -110,8 +113,8 @@ class Detector(nn.Module):
 
     @property
     def digest(self) -> str:
-        """A fingerprint of all weights and buffers: part of every cache key."""
-        sha = hashlib.sha256()
+        """A fingerprint of all weights and buffers and of the operating threshold: part of every cache key."""
+        sha = hashlib.sha256(f"{self.fusion} {self.floor} {self.threshold}".encode())
         for name, tensor in sorted(self.state_dict().items()):
             sha.update(name.encode())
             sha.update(tensor.detach().cpu().contiguous().numpy().tobytes())

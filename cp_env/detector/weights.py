@@ -51,6 +51,7 @@ def save_detector(detector: Detector, path: Path, **notes: Any) -> None:
     }
     partial = path.with_suffix(".part")
     save_file(tensors, partial, metadata={key: json.dumps(value) for key, value in about.items()})
+    partial.chmod(0o644)  # safetensors writes for the owner alone
     partial.rename(path)
 
 
