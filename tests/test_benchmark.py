@@ -89,7 +89,7 @@ def variants() -> list[Protocol]:
     """Protocols that differ in one condition each: their results must never be mixed."""
     changes: list[dict[str, Any]] = [
         {},
-        {"frames": 3},
+        {"frames": 5},
         {"budget": 0.2},
         {"norm": "l2"},
         {"rsu": True},
