@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 
 import numpy as np
@@ -16,7 +17,7 @@ from cp_env.types import Scene
 from tests.reference import lidar as textbook
 from tests.toy import ToySource, toy_scene
 
-EXACT = LidarSpec((-20.0, -10.0, -5.0, -2.0, -0.5, 3.0), azimuths=90, range_noise=0.0, dropout=0.0, far_dropout=0.0)
+EXACT = LidarSpec((-20.0, -10.0, -5.0, -2.0, -0.5, 3.0), azimuths=60, range_noise=0.0, dropout=0.0, far_dropout=0.0)
 
 
 def tan(degrees: float) -> float:
@@ -53,7 +54,7 @@ def crowd(rng: np.random.Generator, n: int) -> Prisms:
 # ---- against the twin
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("height", [0.4, 1.7, 6.0])
 def test_every_ray_meets_what_the_textbook_says(seed: int, height: float) -> None:
     rng = np.random.default_rng(seed)
@@ -61,9 +62,9 @@ def test_every_ray_meets_what_the_textbook_says(seed: int, height: float) -> Non
     places = rng.uniform([-20, -20, -4], [20, 20, 4], (4, 3)).tolist()
     mounts = [Mount(w, x, y, height, yaw, carrier=w) for w, (x, y, yaw) in zip((0, 0, 1, 2), places, strict=True)]
     elevations = (-35.0, -12.0, -6.0, -2.0, -0.3, 0.7, 8.0)
-    distance, owner = trace(worlds, mounts, slopes(elevations), azimuths=60, max_distance=200.0)
+    distance, owner = trace(worlds, mounts, slopes(elevations), azimuths=45, max_distance=200.0)
     for mount, own_distance, own_owner in zip(mounts, distance, owner, strict=True):
-        expected, expected_owner = textbook.revolve(worlds[mount.world], mount, elevations, azimuths=60)
+        expected, expected_owner = textbook.revolve(worlds[mount.world], mount, elevations, azimuths=45)
         slant = own_distance.numpy() / np.cos(np.radians(elevations))
         np.testing.assert_array_equal(own_owner, expected_owner)
         np.testing.assert_allclose(slant, expected, rtol=1e-6, atol=1e-3)
@@ -121,10 +122,18 @@ def test_the_road_side_unit_sees_the_roof_below_it() -> None:
     np.testing.assert_array_equal(sweep.hits, [0, 4])
 
 
+def test_a_sensor_inside_a_building_sees_through_it() -> None:
+    """Bad data do not blind it: the building it stands in is left out, the wall beyond is not."""
+    inside, wall = (0, 0, 0.3, 20, 20, 8), (15.5, 0, 0, 1, 40, 3)
+    [[blind]] = lidar.scan([(street(obstacles=(inside, wall)), 0)], vehicle_spec=EXACT)
+    [[free]] = lidar.scan([(street(obstacles=(wall,)), 0)], vehicle_spec=EXACT)
+    np.testing.assert_array_equal(blind.points, free.points)
+
+
 def test_open_ground_returns_circles() -> None:
     [[sweep]] = lidar.scan([(street(), 0)], vehicle_spec=EXACT)
-    radius = np.hypot(sweep.points[:, 0], sweep.points[:, 1]).reshape(90, 4)  # -0.5 and +3 degrees return nothing
-    np.testing.assert_allclose(radius, [[1.7 / tan(e) for e in (20, 10, 5, 2)]] * 90, rtol=1e-6)
+    radius = np.hypot(sweep.points[:, 0], sweep.points[:, 1]).reshape(60, 4)  # -0.5 and +3 degrees return nothing
+    np.testing.assert_allclose(radius, [[1.7 / tan(e) for e in (20, 10, 5, 2)]] * 60, rtol=1e-6)
     np.testing.assert_allclose(sweep.points[:, 2], 0, atol=1e-5)
 
 
@@ -166,14 +175,18 @@ def test_a_sweep_does_not_depend_on_its_batch() -> None:
             np.testing.assert_array_equal(one.hits, other.hits)
 
 
-def test_two_sensors_two_frames_and_two_scenes_have_their_own_noise() -> None:
-    """The same crossing under two names, in two frames of a car that stands still, from two sensors of one kind."""
-    still = dataclasses.replace(toy_scene(), pose=np.repeat(toy_scene().pose[:1], 2, axis=0))
+def test_every_sensor_frame_and_scene_has_its_own_noise() -> None:
+    """Two equal cars stand still on open ground, too far apart to meet: their returns differ by noise alone."""
+    pair = street((500, 0, 0, 4.5, 1.8, 1.5))
+    still = dataclasses.replace(pair, pose=np.repeat(pair.pose, 2, axis=0), connected=np.array([0, 1]))
     renamed = dataclasses.replace(still, name="other")
-    [[a], [b], [c]] = (
-        [sweeps[0].points[:3000] for sweeps in lidar.scan([job])] for job in ((still, 0), (still, 1), (renamed, 0))
-    )
-    assert (a != b).mean() > 0.5 and (a != c).mean() > 0.5
+    spec = dataclasses.replace(lidar.VEHICLE, dropout=0.0, far_dropout=0.0)
+    jobs = [(still, 0), (still, 1), (renamed, 0)]
+    sweeps = [sweep.points for each in lidar.scan(jobs, vehicle_spec=spec) for sweep in each]
+    assert len(sweeps) == 6
+    for one, other in itertools.combinations(sweeps, 2):
+        np.testing.assert_allclose(one[:100], other[:100], atol=1.0)
+        assert (one[:100] != other[:100]).any(axis=1).mean() > 0.9
 
 
 def test_noise_and_dropout_have_the_promised_size() -> None:
