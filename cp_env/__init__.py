@@ -19,7 +19,7 @@ from cp_env.registration import ENV_ID, register_ids
 if TYPE_CHECKING:
     from pettingzoo import AECEnv
 
-    from cp_env.env import CollaborativePerceptionEnv
+    from cp_env.parallel import CollaborativePerceptionEnv
     from cp_env.types import SceneSource
     from cp_env.vector import JointAdversaryVectorEnv
     from defenders.protocol import Defender
@@ -86,7 +86,7 @@ def parallel_env(
     Raises:
         ValueError: an unknown name (the message lists the known ones), or a number outside its range.
     """
-    from cp_env.env import CollaborativePerceptionEnv
+    from cp_env.parallel import CollaborativePerceptionEnv
 
     return CollaborativePerceptionEnv(
         defender,

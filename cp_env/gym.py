@@ -10,9 +10,9 @@ from gymnasium import Env
 from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
-from cp_env.env import RENDER_FPS, RENDER_MODES, check_render_mode, raise_failure
 from cp_env.game import Game
 from cp_env.joint import Observation, join, joint_space, split, world
+from cp_env.parallel import RENDER_FPS, RENDER_MODES, check_render_mode, raise_failure
 from cp_env.window import Window
 from defenders.protocol import Defender
 
@@ -53,7 +53,7 @@ class JointAdversaryEnv(Env[Any, NDArray[Any]]):
         self._follow()
         return world(join(observations), 0), {key: values[0].copy() for key, values in infos.items()}
 
-    def step(self, action: NDArray[Any]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+    def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """One frame. Nothing ever terminates; the time limit truncates.
 
         ValueError for a wrong shape or numbers that are not finite; outside [-1, 1] they are clipped.
@@ -72,7 +72,7 @@ class JointAdversaryEnv(Env[Any, NDArray[Any]]):
         info = {key: values[0].copy() for key, values in infos.items()}
         return world(join(observations), 0), float(reward[0].mean(dtype=np.float64)), False, over, info
 
-    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
+    def render(self) -> NDArray[np.uint8] | None:
         """The picture (h, w, 3) of this frame for "rgb_array"; for "human" the window is brought up to date."""
         if self.render_mode == "rgb_array":
             return self.game.render(0)

@@ -16,7 +16,7 @@ import pettingzoo
 if TYPE_CHECKING:
     from pettingzoo import AECEnv
 
-    from cp_env.env import CollaborativePerceptionEnv
+    from cp_env.parallel import CollaborativePerceptionEnv
 
 ENV_ID = "cp_env/CollaborativePerception-v0"
 

@@ -13,9 +13,9 @@ from gymnasium.vector.utils import batch_space
 from jaxtyping import Bool
 from numpy.typing import NDArray
 
-from cp_env.env import RENDER_FPS, RENDER_MODES, check_render_mode
 from cp_env.game import Game
 from cp_env.joint import Observation, join, joint_space, split, world
+from cp_env.parallel import RENDER_FPS, RENDER_MODES, check_render_mode
 from cp_env.window import Window
 from defenders.protocol import Defender
 
@@ -82,7 +82,7 @@ class JointAdversaryVectorEnv(VectorEnv[Any, NDArray[Any], NDArray[Any]]):
         self._follow()
         return join(observations), _batched(infos, mask)
 
-    def step(self, actions: NDArray[Any]) -> tuple[Observation, NDArray[Any], NDArray[Any], NDArray[Any], Infos]:
+    def step(self, actions: Any) -> tuple[Observation, NDArray[Any], NDArray[Any], NDArray[Any], Infos]:
         """One frame of every world. Rewards are float64 (E,); nothing ever terminates, the time limit truncates.
 
         ValueError for a wrong shape or numbers that are not finite; outside [-1, 1] they are clipped. A world whose

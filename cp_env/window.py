@@ -11,7 +11,7 @@ from jaxtyping import UInt8
 class Window:
     """Shows one picture after the other; opens with the first. Pickles to a window not yet opened."""
 
-    def __init__(self, title: str, fps: float) -> None:
+    def __init__(self, title: str, fps: int) -> None:
         self.title = title
         self.fps = fps
         self._figure: Any = None

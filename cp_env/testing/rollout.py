@@ -137,6 +137,8 @@ def difference(a: Any, b: Any, where: str = "") -> str | None:
     if isinstance(a, np.ndarray):
         if a.dtype != b.dtype or a.shape != b.shape:
             return f"{where} is {a.dtype}{list(a.shape)} here, {b.dtype}{list(b.shape)} there"
+        if a.dtype == object:
+            return difference(a.tolist(), b.tolist(), where)
         same = a.tobytes() == b.tobytes() or np.array_equal(a, b, equal_nan=a.dtype.kind in "fc")
         return None if same else f"{where} differs in {int(np.sum(a != b))} of {a.size} entries"
     return None if a == b or (a != a and b != b) else f"{where} is {a!r} here, {b!r} there"

@@ -32,7 +32,7 @@ def test_the_instance_checked_is_left_untouched() -> None:
 
 def test_rules_can_be_skipped_by_name_only() -> None:
     assert "seeds_differ" not in check_env(Lawful, skip=["seeds_differ"])
-    with pytest.raises(ValueError, match="no rules called.*seeds_difer.*the rules are.*seeds_differ"):
+    with pytest.raises(ValueError, match=r"no rules called.*seeds_difer.*the rules are.*seeds_differ"):
         check_env(Lawful, skip=["seeds_difer"])
     with pytest.raises(ValueError, match="steps must be at least 1, got 0"):
         check_env(Lawful, steps=0)
@@ -509,7 +509,7 @@ def test_every_rule_has_a_mutant() -> None:
 
 def test_somebody_elses_environment_is_checked_too() -> None:
     """PettingZoo's example of agents that come and go: just what SuperSuit, RLlib and TorchRL cannot work with."""
-    with pytest.raises(RuleBroken, match="spaces_are_fixed|agents_are_constant"):
+    with pytest.raises(RuleBroken, match=r"spaces_are_fixed|agents_are_constant"):
         check_env(generated_agents_parallel_v0.parallel_env)
 
 

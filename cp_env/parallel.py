@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 from gymnasium import Space
 from gymnasium.error import ResetNeeded
+from gymnasium.spaces import Box
 from jaxtyping import Float
 from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
@@ -21,6 +22,7 @@ from defenders.protocol import Defender
 
 RENDER_MODES = ("human", "rgb_array")
 RENDER_FPS = 5  # as many frames as the recordings have a second
+LARGEST = float(np.finfo(np.float16).max)  # maps are kept in half precision
 
 Infos = dict[str, dict[str, int | float]]
 
@@ -63,7 +65,9 @@ class CollaborativePerceptionEnv(ParallelEnv[str, Observation, NDArray[Any]]):
         self.game = Game(1, defender, **knobs)
         self.possible_agents: list[str] = list(self.game.slots)
         self.agents: list[str] = []
-        self.state_space = self.game.state_space
+        detector = self.game.world.detector
+        shape = (self.game.settings.n_maps, detector.channels, detector.size, detector.size)
+        self.state_space = Box(-LARGEST, LARGEST, shape, np.float32)
         names = self.possible_agents
         self._observation_spaces = {name: copy.deepcopy(self.game.single_observation_space) for name in names}
         self._action_spaces = {name: copy.deepcopy(self.game.single_action_space) for name in names}
@@ -87,7 +91,7 @@ class CollaborativePerceptionEnv(ParallelEnv[str, Observation, NDArray[Any]]):
         return self._by_agent(observations), self._numbers(infos)
 
     def step(
-        self, actions: dict[str, NDArray[Any]]
+        self, actions: dict[str, Any]
     ) -> tuple[dict[str, Observation], dict[str, float], dict[str, bool], dict[str, bool], Infos]:
         """One frame: every agent perturbs, the defender inspects, the ego drives on. The time limit is a truncation.
 
@@ -134,7 +138,7 @@ class CollaborativePerceptionEnv(ParallelEnv[str, Observation, NDArray[Any]]):
             raise ValueError(f"no agent {agent!r}; the agents are {self.possible_agents}")
         return agent
 
-    def _stack(self, actions: dict[str, NDArray[Any]]) -> NDArray[Any]:
+    def _stack(self, actions: dict[str, Any]) -> NDArray[Any]:
         for name in actions:
             self._known(name)
         missing = [name for name in self.possible_agents if name not in actions]

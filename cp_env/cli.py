@@ -1,0 +1,146 @@
+"""The command `cp-env`: look at the scenes, play an episode into a GIF, check an environment against the rules."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+
+def version() -> None:
+    """Print the version of cp_env."""
+    from cp_env import __version__
+
+    print(__version__)
+
+
+def scenes(source: str = "town/test") -> None:
+    """List the scenes of a source, with what moves and stands in them.
+
+    Args:
+        source: "town/train", "town/calibration" or "town/test".
+    """
+    import numpy as np
+    from rich.console import Console
+    from rich.table import Table
+
+    from cp_env.scenes import open_source
+
+    opened = open_source(source)
+    table = Table(title=f"{opened.name}: {len(opened.names())} scenes")
+    columns = ("scene", "kind", "frames", "seconds", "connected", "vehicles", "parked", "obstacles", "road-side unit")
+    for column in columns:
+        table.add_column(column, justify="left" if column in columns[:2] else "right")
+    for name in opened.names():
+        scene = opened.load(name)
+        path = np.nanmax(scene.pose[..., :2], axis=0) - np.nanmin(scene.pose[..., :2], axis=0)
+        parked = int((np.hypot(*path.T) < 0.5).sum())
+        numbers = (scene.n_connected, len(scene.size), parked, len(scene.obstacles))
+        clock = (str(scene.n_frames), f"{scene.n_frames * scene.dt:.0f}")
+        table.add_row(name, scene.kind, *clock, *map(str, numbers), "no" if scene.rsu is None else "yes")
+    Console().print(table)
+
+
+def play(
+    defender: str = "prbi",
+    out: Path = Path("episode.gif"),
+    scenes: str = "town/test",
+    action: str = "guided",
+    n_vehicles: int = 5,
+    n_attackers: int = 2,
+    max_frames: int = 50,
+    seed: int = 0,
+) -> None:
+    """Play one episode of liars who act at random, and film it.
+
+    Args:
+        defender: who guards the ego.
+        out: where the GIF goes.
+        scenes: "town/train", "town/calibration" or "town/test".
+        action: "guided", "basis" or "full".
+        n_vehicles: how many share their maps.
+        n_attackers: how many of them lie.
+        max_frames: frames of the episode, five a second.
+        seed: of the episode and of the actions.
+    """
+    from rich.console import Console
+    from rich.progress import track
+
+    from cp_env import parallel_env
+    from cp_env.rendering import write_gif
+
+    env = parallel_env(
+        defender,
+        scenes=scenes,
+        action=action,
+        n_vehicles=n_vehicles,
+        n_attackers=n_attackers,
+        max_frames=max_frames,
+        render_mode="rgb_array",
+    )
+    env.reset(seed=seed)
+    for number, agent in enumerate(env.possible_agents):
+        env.action_space(agent).seed(seed + number)
+    pictures, damage = [], 0.0
+    for _ in track(range(max_frames), "playing", console=Console(stderr=True)):
+        *_, infos = env.step({agent: env.action_space(agent).sample() for agent in env.agents})
+        damage += infos[env.possible_agents[0]]["damage"]
+        pictures.append(env.render())
+        if not env.agents:
+            break
+    write_gif([picture for picture in pictures if picture is not None], out)
+    Console().print(f"{out}: {len(pictures)} frames, mean damage {damage / len(pictures):.2f}", soft_wrap=True)
+
+
+def check(
+    defender: str = "prbi",
+    action: str = "guided",
+    observation: str = "features",
+    scenes: str = "town/test",
+    max_frames: int = 4,
+    steps: int = 6,
+    seed: int = 0,
+) -> None:
+    """Check an environment against every rule of `cp_env.testing`.
+
+    Args:
+        defender: who guards the ego.
+        action: "guided", "basis" or "full".
+        observation: "features" or "compact".
+        scenes: "town/train", "town/calibration" or "town/test".
+        max_frames: frames of an episode.
+        steps: calls a rule plays; more than an episode is better.
+        seed: of the episodes and of the actions.
+    """
+    from rich.console import Console
+
+    from cp_env import parallel_env
+    from cp_env.testing import check_env
+
+    rules = check_env(
+        lambda: parallel_env(
+            defender,
+            action=action,
+            observation=observation,
+            scenes=scenes,
+            max_frames=max_frames,
+            render_mode="rgb_array",
+        ),
+        steps=steps,
+        seed=seed,
+    )
+    Console().print(f"{len(rules)} rules kept: {', '.join(rules)}")
+
+
+def main(args: list[str] | None = None) -> None:
+    """What the console script calls; `args` are the command line's unless given."""
+    import tyro
+
+    commands: dict[str, Callable[..., None]] = {"scenes": scenes, "play": play, "check": check, "version": version}
+    try:
+        tyro.extras.subcommand_cli_from_dict(commands, prog="cp-env", description=__doc__, args=args)
+    except ValueError as error:
+        raise SystemExit(f"cp-env: {error}") from error
+
+
+if __name__ == "__main__":
+    main()
