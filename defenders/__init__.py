@@ -2,7 +2,7 @@
 
 >>> defender = make("prbi", epsilon=0.4)
 >>> names()
-('prbi', 'none', 'ego_only', 'oracle')
+('prbi', 'none', 'ego_only', 'oracle', 'pasac', 'robosac')
 """
 
 from __future__ import annotations
@@ -11,9 +11,11 @@ from collections.abc import Callable
 from typing import Any
 
 from defenders.bounds import EgoOnly, NoDefence, Oracle
+from defenders.pasac import Pasac
 from defenders.prbi import Prbi
 from defenders.protocol import Defender, Frame, Inspection, Query, QueryError, Verdict, View
 from defenders.readings import Reading
+from defenders.robosac import Robosac
 
 __all__ = [
     "Defender",
@@ -22,10 +24,12 @@ __all__ = [
     "Inspection",
     "NoDefence",
     "Oracle",
+    "Pasac",
     "Prbi",
     "Query",
     "QueryError",
     "Reading",
+    "Robosac",
     "Verdict",
     "View",
     "make",
@@ -37,6 +41,8 @@ REGISTRY: dict[str, Callable[..., Defender]] = {
     "none": NoDefence,
     "ego_only": EgoOnly,
     "oracle": Oracle,
+    "pasac": Pasac,
+    "robosac": Robosac,
 }
 
 
