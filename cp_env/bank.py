@@ -22,6 +22,7 @@ from tqdm import tqdm
 
 from cp_env.detector import Detector
 from cp_env.detector.decoder import Dense
+from cp_env.geometry import grid_origin
 from cp_env.truth import truth_boxes
 from cp_env.types import Scene, SceneSource, View
 
@@ -116,12 +117,12 @@ class SceneBank:
         return [*range(n_vehicles), *([scene.n_connected] if rsu else [])]
 
     def _poses(self, scene: Scene, agents: list[int]) -> Float[np.ndarray, "T N 3"]:
-        """ego_T_sender: grid frames are parallel to the world's, so only the translation differs."""
+        """ego_T_sender: grid frames are parallel to the world's and on one lattice: a shift by whole cells."""
         sensors = scene.pose[:, scene.connected, :2]
         if scene.rsu is not None:
             mast = np.broadcast_to(scene.rsu[:2], (scene.n_frames, 1, 2))
             sensors = np.concatenate([sensors, mast], axis=1)
-        shift = sensors[:, agents] - sensors[:, :1]
+        shift = grid_origin(sensors[:, agents]) - grid_origin(sensors[:, :1])
         return np.concatenate([shift, np.zeros_like(shift[..., :1])], axis=-1).astype(np.float32)
 
     def _path(self, scene: Scene, kind: str, agent: int) -> Path:
@@ -177,14 +178,14 @@ class SceneBank:
             maps = torch.from_numpy(np.stack([m[t] for m in received])).float()[None]
             with torch.inference_mode():
                 dense = self.detector.perceive(maps, coverage[t : t + 1], torch.zeros(1, dtype=torch.long), everyone)
-                views += make_views(self.detector, dense, [group], [t], [ego_origin(scene, t)])
+                views += make_views(self.detector, dense, [group], [t], [ego_place(scene, t)])
             logits.append(dense.logits.half())
             boxes.append(dense.boxes.half())
         return Dense(torch.cat(logits).clone(), torch.cat(boxes).clone()), tuple(views)
 
 
-def ego_origin(scene: Scene, frame: int) -> Float[np.ndarray, " 2"]:
-    """Where the ego's grid frame lies in the world; m."""
+def ego_place(scene: Scene, frame: int) -> Float[np.ndarray, " 2"]:
+    """Where the ego stands in the world; m."""
     return scene.pose[frame, scene.connected[0], :2]
 
 
@@ -193,13 +194,18 @@ def make_views(
     dense: Dense,
     groups: list[frozenset[int]],
     frames: list[int],
-    origins: list[Float[np.ndarray, " 2"]],
+    places: list[Float[np.ndarray, " 2"]],
 ) -> list[View]:
-    """Detections and score map of each row of `dense`, as the opaque views that defenders compare."""
+    """Detections and score map of each row of `dense`, as the opaque views that defenders compare.
+
+    `places` are where the ego stood in each: in a group without it the others see the ego itself, which it knows better.
+    """
+    origins = [grid_origin(place) for place in places]
+    own = np.stack([place - origin for place, origin in zip(places, origins, strict=True)])
     score_maps = dense.scores.detach().cpu().numpy()
     return [
         View(group, frame, origin, found, found.above(detector.threshold), score_map)
         for group, frame, origin, found, score_map in zip(
-            groups, frames, origins, detector.detect(dense), score_maps, strict=True
+            groups, frames, origins, detector.detect(dense, own), score_maps, strict=True
         )
     ]

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
+from cp_env.geometry import grid_origin
 from cp_env.rendering import Image3, Picture, draw
 from cp_env.world import Outcome, World
 from defenders import REGISTRY, Defender
@@ -76,7 +77,8 @@ class Camera:
         settings, scene = self._world.settings, self._world.places[e][0].scene
         (sweeps,) = self._world.bank.source.sweeps(scene, [frame])
         used = [*sweeps[: settings.n_vehicles], *(sweeps[-1:] if settings.rsu else [])]
-        places = np.array([sweep.origin[:2] - used[0].origin[:2] for sweep in used], dtype=np.float64)
+        origin = grid_origin(used[0].origin[:2])
+        places = np.array([sweep.origin[:2] - origin for sweep in used], dtype=np.float64)
         points = [s.points + np.array([*shift, 0.0], s.points.dtype) for s, shift in zip(used, places, strict=True)]
         return points, places
 

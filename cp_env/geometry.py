@@ -26,6 +26,19 @@ def invert(a_T_b: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
     return np.stack([-cos * x - sin * y, sin * x - cos * y, -a_T_b[..., 2]], axis=-1)
 
 
+LATTICE = 2.0
+"""Side of a shared map's cell, m: grid frames begin at whole multiples of it in the world."""
+
+
+def grid_origin(place: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 2"]:
+    """Where in the world the grid frame of whoever stands at `place` begins: the lattice point next to it; m.
+
+    All maps share one lattice, so moving one into another's frame shifts it by whole cells and blurs nothing. Our choice:
+    the paper leaves the frames open, and vehicles that share maps share their poses anyway.
+    """
+    return np.round(np.asarray(place, dtype=np.float64) / LATTICE) * LATTICE
+
+
 def corners(boxes: Float[np.ndarray, "*n 5"]) -> Float[np.ndarray, "*n 4 2"]:
     """The corners of (x, y, length, width, yaw) boxes, counter-clockwise from front left."""
     unit = np.array([[0.5, 0.5], [-0.5, 0.5], [-0.5, -0.5], [0.5, -0.5]])

@@ -2,8 +2,9 @@
 
 Convention:
     world frame   x east, y north, z up; metres; ground at z = 0; yaw in radians, counter-clockwise from east.
-    grid frame    a vehicle's own frame: origin below its sensor, axes parallel to the world's (a compass is assumed),
-                  so two grid frames differ by a translation only; z is height above ground.
+    grid frame    a vehicle's own frame: its origin is the point of a world-wide lattice next to its sensor
+                  (`geometry.grid_origin`), its axes are the world's (a compass is assumed), so two grid frames differ
+                  by a translation of whole cells only; z is height above ground.
     box           (x, y, length, width, yaw): centre, full extents along and across the heading, heading.
 """
 
@@ -46,7 +47,7 @@ class Scene:
 class Sweep:
     """One LiDAR revolution of one sensor."""
 
-    points: Float[np.ndarray, "P 3"]  # grid frame of its own sensor; m
+    points: Float[np.ndarray, "P 3"]  # x, y from the sensor along the world's axes, z above ground; m
     origin: Float[np.ndarray, " 3"]  # x, y, z of the sensor in the world frame; m
     hits: Int[np.ndarray, " M"] | None = None  # returns from each of the scene's vehicles, where the source knows
 

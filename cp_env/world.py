@@ -14,7 +14,7 @@ from torch import Tensor
 
 import defenders
 from cp_env import channel, similarity
-from cp_env.bank import Episode, SceneBank, ego_origin, make_views
+from cp_env.bank import Episode, SceneBank, ego_place, make_views
 from cp_env.detector import Detector, load_detector
 from cp_env.detector.decoder import Dense
 from cp_env.scenes import open_source
@@ -279,8 +279,8 @@ class World:
                 row[sorted(group)] = True
             dense = self.detector.perceive(attacked, situation.coverage, world, groups.to(self.device))
             states = [self._worlds[e] for e, _ in pairs]
-            origins = [ego_origin(self._episode(s).scene, self._now(s)) for s in states]
-            return make_views(self.detector, dense, [g for _, g in pairs], [s.frame for s in states], origins)
+            places = [ego_place(self._episode(s).scene, self._now(s)) for s in states]
+            return make_views(self.detector, dense, [g for _, g in pairs], [s.frame for s in states], places)
 
         return perceive
 

@@ -9,6 +9,7 @@ import torch
 from cp_env import lidar
 from cp_env.detector import bev
 from cp_env.detector.bev import BEV, BevSpec
+from cp_env.geometry import grid_origin
 from cp_env.types import Sweep
 from tests.toy import toy_scene
 
@@ -24,6 +25,23 @@ def occupied(grid: torch.Tensor) -> list[list[int]]:
 def test_a_point_lands_where_we_say() -> None:
     """10.1 m east, 5.3 m south, 0.7 m up: col 42.1 / 0.25 = 168.4, row 26.7 / 0.25 = 106.8, slice 0.6 to 1.0 m."""
     assert occupied(bev.rasterise([sweep((10.1, -5.3, 0.7))])) == [[0, 2, 106, 168]]
+
+
+def test_the_grid_begins_at_the_lattice_point_next_to_the_sensor() -> None:
+    """A sensor at (7.2, -4.9): its grid's origin is (8, -4), so a point 0.1 m north-east of it is at (-0.7, -0.8)."""
+    shifted = Sweep(np.array([[0.1, 0.1, 0.7]], dtype=np.float32), np.array([7.2, -4.9, 1.7]))
+    assert occupied(bev.rasterise([shifted])) == [[0, 2, int((32 - 0.8) / 0.25), int((32 - 0.7) / 0.25)]]
+
+
+def test_one_place_in_the_world_is_one_cell_whoever_sees_it() -> None:
+    place = np.array([13.3, 9.1])
+    cells = []
+    for sensor in ([3.1, 4.7], [20.9, -6.2]):
+        origin = grid_origin(np.array(sensor))
+        seen = Sweep(np.array([[*(place - sensor), 0.7]], dtype=np.float32), np.array([*sensor, 1.7]))
+        ((_, _, row, col),) = occupied(bev.rasterise([seen]))
+        cells.append(((np.array([col, row]) * 0.25 - 32 + origin) / 0.25).tolist())
+    assert cells[0] == cells[1]
 
 
 def test_the_corners_of_the_grid() -> None:

@@ -11,9 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import UInt8
+from jaxtyping import Float, UInt8
 from torch import Tensor
 
+from cp_env.geometry import grid_origin
 from cp_env.types import Sweep
 
 
@@ -48,12 +49,15 @@ BEV = BevSpec()
 
 
 def rasterise(sweeps: Sequence[Sweep], spec: BevSpec = BEV, *, device: str = "cpu") -> UInt8[Tensor, "B Z S S"]:
-    """1 where a sweep has a return in the cell and slice, else 0. Points outside the grid are dropped."""
+    """1 where a sweep has a return in the cell and slice, else 0; in its sensor's grid frame.
+
+    Points outside the grid are dropped.
+    """
     shape = (len(sweeps), spec.slices, spec.size, spec.size)
     grid = torch.zeros(shape, dtype=torch.uint8, device=device)
     if not sweeps:
         return grid
-    points = torch.from_numpy(np.concatenate([sweep.points for sweep in sweeps])).to(device)
+    points = torch.from_numpy(np.concatenate([_on_lattice(sweep) for sweep in sweeps])).to(device)
     counts = torch.tensor([len(sweep.points) for sweep in sweeps], device=device)
     view = torch.repeat_interleave(torch.arange(len(sweeps), device=device), counts)
     cell = torch.floor((points[:, :2] + spec.extent) / spec.cell).long()
@@ -62,6 +66,12 @@ def rasterise(sweeps: Sequence[Sweep], spec: BevSpec = BEV, *, device: str = "cp
     index = ((view * spec.slices + height) * spec.size + cell[:, 1]) * spec.size + cell[:, 0]
     grid.view(-1)[index[inside]] = 1
     return grid
+
+
+def _on_lattice(sweep: Sweep) -> Float[np.ndarray, "P 3"]:
+    """The points from the grid origin instead of the sensor."""
+    sensor = sweep.origin[:2]
+    return sweep.points + np.append(sensor - grid_origin(sensor), 0.0).astype(sweep.points.dtype)
 
 
 def pack(grid: UInt8[Tensor, "*b S"]) -> UInt8[np.ndarray, "*b P"]:

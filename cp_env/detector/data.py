@@ -19,6 +19,7 @@ from tqdm import tqdm
 
 from cp_env.detector import bev
 from cp_env.detector.loss import Targets, stack, targets
+from cp_env.geometry import LATTICE, grid_origin
 from cp_env.types import Scene, SceneSource
 
 RETURNS_SEEN = 3
@@ -54,7 +55,7 @@ class Batch:
 
 def prepare(source: SceneSource, cache: Path, *, stride: int = 2, limit: int | None = None) -> list[Footage]:
     """The footage of every scene of a source (every `stride`-th frame), from the cache where it is there."""
-    key = hashlib.sha256(f"{source.digest} {bev.BEV} {stride}".encode()).hexdigest()[:16]
+    key = hashlib.sha256(f"{source.digest} {bev.BEV} {LATTICE} {stride}".encode()).hexdigest()[:16]
     folder = cache / key
     folder.mkdir(parents=True, exist_ok=True)
     names = source.names()[:limit]
@@ -77,7 +78,7 @@ def _record(source: SceneSource, scene: Scene, grids: Path, rest: Path, stride: 
     for start in range(0, len(frames), 5):
         for sweeps in source.sweeps(scene, frames[start : start + 5]):
             packed.append(bev.pack(bev.rasterise(sweeps)))
-            origin.append([sweep.origin[:2] for sweep in sweeps])
+            origin.append([grid_origin(sweep.origin[:2]) for sweep in sweeps])
             hits.append([sweep.hits for sweep in sweeps])
     kept = np.asarray(frames)
     size = np.broadcast_to(scene.size[:, :2], (len(kept), len(scene.size), 2))

@@ -96,7 +96,8 @@ class Detector(nn.Module):
         """
         scores, boxes = (array.cpu().numpy() for array in peaks(dense, self.floor, self.extent, MOST_BOXES))
         centre = boxes[..., :2]
-        valid = (scores > 0) & (np.hypot(*centre.T).T > OWN_RADIUS) & (np.abs(centre) <= self.extent).all(axis=-1)
+        apart = np.linalg.norm(centre - (0.0 if own is None else own[:, None]), axis=-1) > OWN_RADIUS
+        valid = (scores > 0) & apart & (np.abs(centre) <= self.extent).all(axis=-1)
         boxes, scores, views = boxes[valid], scores[valid], np.nonzero(valid)[0]
         stay = nms_batch(boxes, scores, views, NMS_IOU)
         ends = np.searchsorted(views[stay], np.arange(len(dense.logits) + 1))

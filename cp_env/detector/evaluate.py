@@ -23,6 +23,7 @@ from tqdm import tqdm
 from cp_env.detector.data import RETURNS_SEEN
 from cp_env.detector.detector import Detector
 from cp_env.detector.weights import about, load_detector, read_detector, save_detector
+from cp_env.geometry import grid_origin
 from cp_env.metrics import ApMeter
 from cp_env.scenes import open_source
 from cp_env.similarity import view_similarity_many
@@ -98,7 +99,8 @@ def look(detector: Detector, scene: Scene, frame: int, sweeps: Sequence[Sweep]) 
     """One frame through the whole detector; the first sweep is the ego's."""
     n = len(sweeps)
     maps = detector.encode(sweeps)
-    origin = np.stack([sweep.origin[:2] for sweep in sweeps])
+    sensors = np.stack([sweep.origin[:2] for sweep in sweeps])
+    origin = grid_origin(sensors)
     pose = torch.zeros(n, 3)
     pose[:, :2] = torch.from_numpy(origin - origin[0])
     received, coverage = detector.warp(maps, pose), detector.coverage(pose)
@@ -110,7 +112,7 @@ def look(detector: Detector, scene: Scene, frame: int, sweeps: Sequence[Sweep]) 
     return Seen(
         scene.name,
         origin[0],
-        detector.detect(dense),
+        detector.detect(dense, np.repeat(sensors[:1] - origin[:1], n, axis=0)),
         truth_boxes(scene, frame, ego, detector.extent),
         int(np.sum(returns >= RETURNS_SEEN)),
         (float(maps[0].mean()), float(maps[0].flatten().quantile(0.99))),

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from cp_env.bank import ego_origin, make_views
+from cp_env.bank import ego_place, make_views
 from cp_env.detector import Detector
+from cp_env.geometry import grid_origin
 from cp_env.types import SceneSource, View
 
 
@@ -22,19 +23,19 @@ def look(
     """The ego's view of `group` when vehicle i sends f_E(C_i) + clip(lies[i]) (Eq. 1, L∞ ball)."""
     scene = source.load(name)
     sweeps = source.sweeps(scene, [frame])[0]
-    sensors = scene.pose[frame, scene.connected, :2]
+    origins = grid_origin(scene.pose[frame, scene.connected, :2])
     total = torch.zeros(detector.channels, detector.size, detector.size)
     count = torch.zeros(detector.size, detector.size)
     with torch.no_grad():
         for i in sorted(group):
             shared = detector.encode([sweeps[i]])[0].half().float()  # the channel carries half precision
             shared = shared + lies.get(i, torch.zeros(1)).clamp(-budget, budget)
-            pose = torch.tensor([*(sensors[i] - sensors[0]), 0.0], dtype=torch.float32)
+            pose = torch.tensor([*(origins[i] - origins[0]), 0.0], dtype=torch.float32)
             covered = detector.coverage(pose[None])[0]
             total += detector.warp(shared[None], pose[None])[0] * covered
             count += covered
         dense = detector.decode((total / count.clamp(min=1))[None])
-    return make_views(detector, dense, [group], [frame], [ego_origin(scene, frame)])[0]
+    return make_views(detector, dense, [group], [frame], [ego_place(scene, frame)])[0]
 
 
 def boxes_of(view: View) -> np.ndarray:
