@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Int
 from numpy.typing import ArrayLike
 from scipy.special import stdtrit
 
@@ -33,7 +33,7 @@ class Interval:
         return format(self, "")
 
 
-def t_interval(values: Float[ArrayLike, " n"], *, confidence: float = 0.95) -> Interval:
+def t_interval(values: ArrayLike, *, confidence: float = 0.95) -> Interval:
     """Mean of independent values, with Student's t interval on n - 1 degrees of freedom.
 
     Raises:
