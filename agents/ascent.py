@@ -15,7 +15,7 @@ from agents.ball import Ball, make_ball
 from agents.objective import Objective
 from agents.protocol import Streams, streams
 from agents.schedule import Schedule, always
-from cp_env.channel import inject
+from cp_env.detector.adversarial import lies
 from cp_env.detector.decoder import Dense
 from cp_env.world import Situation
 
@@ -127,16 +127,11 @@ class Silence:
 def attack_loss(situation: Situation, worlds: Int[Tensor, " B"], groups: Bool[Tensor, "B N"], objective: Goal) -> Loss:
     """`objective` of the ego's view of `groups` in `worlds` if the liars add δ to what they send, Eq. (1), against the
     view that it would have if nobody lied."""
-    detector, received, coverage = situation.detector, situation.received[worlds], situation.coverage[worlds]
-    liars, rows = situation.attackers[worlds], torch.arange(len(worlds), device=worlds.device)
-    pose = situation.ego_T_sender[worlds].gather(1, liars[..., None].expand(-1, -1, 3))
+    liars = situation.attackers[worlds]
+    pose = torch.take_along_dim(situation.ego_T_sender[worlds], liars[..., None], 1)
+    perceive = lies(situation.detector, situation.received[worlds], situation.coverage[worlds], groups, liars, pose)
     clean = Dense(situation.clean.logits[worlds], situation.clean.boxes[worlds])
-
-    def loss(delta: Float[Tensor, "B k C H W"]) -> Float[Tensor, " B"]:
-        attacked = inject(received, detector.warp(delta, pose), liars)
-        return objective(detector.perceive(attacked, coverage, rows, groups), clean)
-
-    return loss
+    return lambda delta: objective(perceive(delta), clean)
 
 
 def silence(situation: Situation) -> Float[Tensor, "E k C H W"]:

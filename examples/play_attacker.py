@@ -7,6 +7,7 @@ python examples/play_attacker.py --policies runs/prbi-*/policy.safetensors
 from __future__ import annotations
 
 import json
+import operator
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -84,7 +85,7 @@ def _report(played: dict[str, list[Episodes]], defender: str, args: Args) -> Non
     rows = {}
     for name, runs in played.items():
         figures = [
-            _interval(runs, lambda e, key=key: getattr(e, key))
+            _interval(runs, operator.attrgetter(key))
             for key in ("damage", "excluded", "similarity", "verifications")
         ]
         table.add_row(name, format(figures[0], ".1f"), *(format(figure, ".2f") for figure in figures[1:]))

@@ -16,12 +16,16 @@ vanish on the objects that the detector is surest of.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.nn import functional
 
+from cp_env.channel import inject
 from cp_env.detector.decoder import Dense
+from cp_env.detector.detector import Detector
 
 OBJECT_PROBABILITY = 0.2
 """Cells whose clean probability is at least this are object cells, weighted by it."""
@@ -62,6 +66,38 @@ def adversarial_loss(
     ghosts = _ghosts(dense.logits, background, where) - _ghosts(clean.logits.detach(), background, where)
     on_objects = hide * (weights * hidden).sum((-2, -1)) + drift * (weights * drifted).sum((-2, -1))
     return (on_objects + spoof * ghosts) / count
+
+
+def lies(
+    detector: Detector,
+    received: Float[Tensor, "B N C H W"],
+    coverage: Float[Tensor, "B N H W"],
+    groups: Bool[Tensor, "B N"],
+    liars: Int[Tensor, "B k"],
+    ego_T_liar: Float[Tensor, "B k 3"],
+) -> Callable[[Float[Tensor, "B k C H W"]], Dense]:
+    """What the ego perceives of each group as a function of the liars' δ, Eq. (1).
+
+    A mean of maps is linear in δ, so what the others sent is fused once and not at every call.
+    """
+    rows = torch.arange(len(received), device=received.device)
+    if detector.fusion != "mean":
+
+        def general(delta: Float[Tensor, "B k C H W"]) -> Dense:
+            attacked = inject(received, detector.warp(delta, ego_T_liar), liars)
+            return detector.perceive(attacked, coverage, rows, groups)
+
+        return general
+
+    honest = detector.fuse(received, coverage, rows, groups)
+    members = coverage * groups[..., None, None]
+    share = torch.take_along_dim(members, liars[..., None, None], 1) / members.sum(1, keepdim=True).clamp(min=1)
+
+    def linear(delta: Float[Tensor, "B k C H W"]) -> Dense:
+        lie = detector.warp(delta, ego_T_liar) * share[:, :, None]
+        return detector.decode(honest + lie.sum(1))
+
+    return linear
 
 
 def _capped(logits: Float[Tensor, "..."]) -> Float[Tensor, "..."]:

@@ -10,6 +10,7 @@ import agents
 from agents import ascent, schedule
 from agents.ascent import Ascent, attack_loss
 from agents.objective import Objective
+from cp_env.detector.detector import FUSIONS
 from tests.agents import situations
 
 MODEL = situations.detector()
@@ -113,6 +114,27 @@ def test_a_world_without_targets_costs_no_forward(monkeypatch: pytest.MonkeyPatc
     situation = situations.situation(MODEL, active=torch.zeros(2, dtype=torch.bool))
     monkeypatch.setattr(ascent, "attack_loss", lambda *_: pytest.fail("nothing is attacked"))
     assert not _act("pgd", situation).any()
+
+
+@pytest.mark.parametrize("everyone", [True, False])
+def test_fusing_the_honest_once_changes_nothing(everyone: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    situation = situations.situation(MODEL, n_worlds=3)
+    groups = torch.ones_like(situation.fused)
+    if not everyone:
+        groups[0, situation.attackers[0, 0]] = groups[1, 0] = groups[2, situation.attackers[2]] = False
+    delta = _act("noise", situation)
+
+    def gradient() -> tuple[torch.Tensor, torch.Tensor]:
+        leaf = delta.clone().requires_grad_()
+        loss = attack_loss(situation, torch.arange(3), groups, Objective())(leaf)
+        return loss.detach(), torch.autograd.grad(loss.sum(), leaf)[0]
+
+    fast = gradient()
+    monkeypatch.setitem(FUSIONS, "as any other", FUSIONS["mean"])
+    monkeypatch.setattr(MODEL, "fusion", "as any other")
+    for quick, slow in zip(fast, gradient(), strict=True):
+        torch.testing.assert_close(quick, slow, rtol=1e-3, atol=1e-6)
+    assert fast[1].abs().amax((-3, -2, -1)).gt(0).tolist() == groups.gather(1, situation.attackers).tolist()
 
 
 def test_schedules_say_when() -> None:
