@@ -6,6 +6,7 @@ Two agents push a hidden target about; what they push is clipped to a ball. Muta
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any, ClassVar
 
@@ -99,3 +100,17 @@ class Lawful(ParallelEnv[str, dict[str, np.ndarray], np.ndarray]):
         return np.full((4, 6, 3), self.frame, dtype=np.uint8)
 
     def close(self) -> None: ...
+
+
+MUTANTS: list[tuple[str, type[Lawful]]] = []
+"""(rule, environment that breaks it), filled by importing the modules of mutants."""
+
+
+def breaks(rule: str) -> Callable[[type[Lawful]], type[Lawful]]:
+    """Enter a mutant under the rule it breaks first."""
+
+    def enter(mutant: type[Lawful]) -> type[Lawful]:
+        MUTANTS.append((rule, mutant))
+        return mutant
+
+    return enter
