@@ -72,8 +72,8 @@ def agreement(a: View, b: View, *, extent: float = 32.0) -> float:
 
     The classes j are vehicle (p) and background (1 - p). With P_j, Q_j the sums of the two maps over their common
     ground and w_j = 1 / (P_j + Q_j)², the value is Σ_j w_j Σ_cells p_j q_j / Σ_j w_j (P_j + Q_j); a class absent from
-    both maps is left out. The older map is moved by the ego's motion to the nearest whole cell: interpolation would
-    flatten its peaks and make a view disagree with itself. `extent` is the range of the map, m.
+    both maps is left out. The older map is moved by the ego's motion to the nearest whole cell, exactly so for grids on
+    one lattice (`geometry.grid_origin`): nothing is interpolated and no peak flattened. `extent` is the map's range, m.
 
     Raises:
         ValueError: the maps differ in shape.

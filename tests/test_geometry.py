@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cp_env.geometry import compose, corners, invert
+from cp_env.geometry import LATTICE, compose, corners, grid_origin, invert
 
 NUMBER = st.floats(-50, 50)
 POSE = st.tuples(NUMBER, NUMBER, st.floats(-7, 7)).map(np.array)
@@ -66,3 +66,16 @@ def test_leading_axes_are_kept(shape: tuple[int, ...]) -> None:
     if shape:
         np.testing.assert_array_equal(compose(a, b)[-1], compose(a[-1], b[-1]))
         np.testing.assert_array_equal(corners(boxes)[-1], corners(boxes[-1]))
+
+
+def test_grid_origin_worked_by_hand() -> None:
+    places = np.array([[0.0, 0.0], [0.9, -0.9], [1.1, -1.1], [101.3, 7.4]])
+    np.testing.assert_array_equal(grid_origin(places), [[0, 0], [0, 0], [2, -2], [102, 8]])
+
+
+@given(st.tuples(st.floats(-1e4, 1e4), st.floats(-1e4, 1e4)).map(np.array))
+def test_grid_origin_is_the_lattice_point_next_to_it(place: np.ndarray) -> None:
+    origin = grid_origin(place)
+    assert (np.abs(origin - place) <= LATTICE / 2).all()
+    np.testing.assert_array_equal(origin % LATTICE, 0)
+    np.testing.assert_array_equal(grid_origin(origin), origin)
