@@ -27,16 +27,16 @@ def scenes(source: str = "town/test") -> None:
 
     opened = open_source(source)
     table = Table(title=f"{opened.name}: {len(opened.names())} scenes")
-    columns = ("scene", "kind", "frames", "seconds", "connected", "vehicles", "parked", "obstacles", "road-side unit")
+    columns = ("scene", "kind", "frames", "connected", "vehicles", "parked", "walls", "RSU")
     for column in columns:
-        table.add_column(column, justify="left" if column in columns[:2] else "right")
+        table.add_column(column, justify="left" if column in columns[:2] else "right", no_wrap=True)
     for name in opened.names():
         scene = opened.load(name)
         path = np.nanmax(scene.pose[..., :2], axis=0) - np.nanmin(scene.pose[..., :2], axis=0)
         parked = int((np.hypot(*path.T) < 0.5).sum())
         numbers = (scene.n_connected, len(scene.size), parked, len(scene.obstacles))
-        clock = (str(scene.n_frames), f"{scene.n_frames * scene.dt:.0f}")
-        table.add_row(name, scene.kind, *clock, *map(str, numbers), "no" if scene.rsu is None else "yes")
+        unit = "no" if scene.rsu is None else "yes"
+        table.add_row(name, scene.kind, str(scene.n_frames), *map(str, numbers), unit)
     Console().print(table)
 
 
