@@ -26,8 +26,8 @@ def scenes(source: str = "town/test") -> None:
     from cp_env.scenes import open_source
 
     opened = open_source(source)
-    table = Table(title=f"{opened.name}: {len(opened.names())} scenes")
-    columns = ("scene", "kind", "frames", "connected", "vehicles", "parked", "walls", "RSU")
+    table = Table(title=f"{opened.name}: {len(opened.names())} scenes", box=None, pad_edge=False)
+    columns = ("scene", "kind", "frames", "radios", "vehicles", "parked", "walls", "RSU")
     for column in columns:
         table.add_column(column, justify="left" if column in columns[:2] else "right", no_wrap=True)
     for name in opened.names():
