@@ -28,9 +28,9 @@ lint: $(READY) ## style, types, import contracts
 bench: $(READY) ## speed, on one torch thread
 	$(BIN)/python -m pytest benchmarks --benchmark-only --benchmark-columns=median,iqr,rounds
 
-record: $(READY) ## record the town's traffic anew (needs the simulator, about 260 MB)
+record: $(READY) ## record the town's traffic anew, in out/recordings (needs the simulator, about 260 MB)
 	$(PIP) install -c constraints.txt -e '.[sumo]'
-	$(BIN)/python -m cp_env.scenes.record
+	$(BIN)/python -m cp_env.scenes.record --out out/recordings --jobs $(WORKERS)
 
 clean: ## forget the virtual environment
 	rm -rf .venv

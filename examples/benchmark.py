@@ -4,7 +4,8 @@
     python examples/benchmark.py --ks 1 2 3 4 --seeds 0 1 2 --workers 2 --out out/benchmark
 
 Defenders and attackers are names, with knobs if need be: `prbi:threshold=calibrated`, `pgd:steps=30`; a learned
-attacker is `policy:name=prbi`, or a file of yours. The same command goes on where a killed run stopped.
+attacker is `policy:name=prbi`, or a file of yours; a defender of yours is `package.module.Class`. The same command goes
+on where a killed run stopped.
 """
 
 from __future__ import annotations
@@ -24,25 +25,10 @@ from rich.table import Table
 
 import agents
 from agents.policy import load_policy
-from cp_env.evaluation import (
-    Attacker,
-    Cell,
-    Crew,
-    Learned,
-    Protocol,
-    Row,
-    Store,
-    about,
-    open_bank,
-    plan,
-    prepare,
-    run,
-    summarise,
-    write_report,
-)
+from cp_env import evaluation
 from cp_env.evaluation.film import film
 from cp_env.evaluation.report import COLUMNS, LEGEND, entry
-from cp_env.rendering import write_gif
+from cp_env.rendering import Image3, write_gif
 from cp_env.scenes import open_source
 
 T = TypeVar("T")
@@ -76,8 +62,8 @@ class Args:
 def main(args: Args) -> None:
     console = Console()
     torch.set_num_threads(args.threads)
-    protocol = Protocol(args.scenes, chosen(args), args.frames, args.vehicles, args.budget)
-    cells = plan(
+    protocol = evaluation.Protocol(args.scenes, chosen(args), args.frames, args.vehicles, args.budget)
+    cells = evaluation.plan(
         protocol,
         defenders=args.defenders,
         attacks=args.attackers,
@@ -85,8 +71,8 @@ def main(args: Args) -> None:
         seeds=args.seeds,
         batch=args.batch,
     )
-    crew = Crew(make_attacker=attacker, workers=args.workers, threads=args.threads)
-    store = Store(args.out, open_bank(protocol).detector.digest)
+    crew = evaluation.Crew(make_attacker=attacker, workers=args.workers, threads=args.threads)
+    store = evaluation.Store(args.out, evaluation.open_bank(protocol).detector.digest)
     with Progress(
         TextColumn("{task.description:<10}"),
         BarColumn(),
@@ -96,14 +82,16 @@ def main(args: Args) -> None:
         TextColumn("{task.fields[last]}"),
         console=console,
     ) as progress:
-        for name in counted(progress, "encoding", prepare(protocol, crew), len(protocol.names)):
+        for name in counted(progress, "encoding", evaluation.prepare(cells, protocol, crew), len(protocol.names)):
             progress.update(progress.task_ids[-1], last=name)
-        for cell in counted(progress, "playing", run(cells, protocol, store, crew), len(cells)):
+        for cell in counted(progress, "playing", evaluation.run(cells, protocol, store, crew), len(cells)):
             progress.update(progress.task_ids[-1], last=f"{cell.defender} against {cell.attack}, k = {cell.k}")
-    rows = summarise(store.load(cells, protocol))
+    rows = evaluation.summarise(store.load(cells, protocol))
     command = shlex.join(["python", *sys.argv])
-    paths = write_report(
-        args.out, rows, about(protocol, command, seeds=args.seeds, workers=args.workers, threads=args.threads)
+    paths = evaluation.write_report(
+        args.out,
+        rows,
+        evaluation.about(protocol, command, seeds=args.seeds, workers=args.workers, threads=args.threads),
     )
     console.print(table(rows, protocol), LEGEND, sep="\n")
     console.print("written:", *paths)
@@ -111,13 +99,13 @@ def main(args: Args) -> None:
         console.print("filmed: ", write_gif(filmed(args, protocol), args.out / "episode.gif"))
 
 
-def attacker(name: str, **knobs: Any) -> Attacker | Learned:
+def attacker(name: str, **knobs: Any) -> evaluation.Attacker | evaluation.Learned:
     """A scripted attacker by its name, or a learned one as `policy:name=…`."""
     return load_policy(**knobs) if name == "policy" else agents.make(name, **knobs)
 
 
 def chosen(args: Args) -> tuple[str, ...]:
-    """The scenes to play: all, or `n_scenes` spread evenly over the source's list, which is sorted by kind."""
+    """The scenes to play: all, or `n_scenes` spread evenly over the source's list."""
     names = open_source(args.scenes).names()
     wanted = len(names) if args.n_scenes is None else args.n_scenes
     if not 1 <= wanted <= len(names):
@@ -133,7 +121,7 @@ def counted(progress: Progress, what: str, steps: Iterator[T], total: int) -> It
         yield step
 
 
-def table(rows: list[Row], protocol: Protocol) -> Table:
+def table(rows: list[evaluation.Row], protocol: evaluation.Protocol) -> Table:
     """The means; the intervals are in the files."""
     size = f"{len(protocol.names)} scenes, {protocol.frames} frames, {protocol.n_vehicles} vehicles"
     made = Table("defender", "attack", "k", *(head for head, _, _ in COLUMNS), title=size, title_justify="left")
@@ -144,12 +132,12 @@ def table(rows: list[Row], protocol: Protocol) -> Table:
     return made
 
 
-def filmed(args: Args, protocol: Protocol) -> list:
+def filmed(args: Args, protocol: evaluation.Protocol) -> list[Image3]:
     """One episode of PRBI (if it plays) against the last attack."""
     defender = next((name for name in args.defenders if name.startswith("prbi")), args.defenders[-1])
     k = min(max(args.ks), 2)
-    cell = Cell(defender, args.attackers[-1], k, args.seeds[0], protocol.names[:1])
-    return film(cell, protocol, open_bank(protocol), attacker)
+    cell = evaluation.Cell(defender, args.attackers[-1], k, args.seeds[0], protocol.names[:1])
+    return film(cell, protocol, evaluation.open_bank(protocol), attacker)
 
 
 if __name__ == "__main__":

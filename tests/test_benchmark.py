@@ -152,7 +152,7 @@ def whole(bank: SceneBank, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("whole")
     ticks = itertools.count()
     crew = Crew(make_attacker=agents.make, open_bank=lambda _: bank, clock=lambda: float(next(ticks)))
-    assert list(prepare(PROTOCOL, crew)) == ["toy-0", "toy-1"]
+    assert list(prepare(CELLS, PROTOCOL, crew)) == ["toy-0", "toy-1"]
     assert list(run(CELLS, PROTOCOL, Store(folder), crew)) == CELLS
     report(folder)
     return folder
@@ -264,11 +264,32 @@ class Grumpy(Defender):
         return Verdict(range(frame.n_vehicles))
 
 
-def test_a_defender_that_fails_ends_its_episode_and_is_named(
-    bank: SceneBank, crew: Crew, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"defenders": ("prbbi",)}, "unknown defender 'prbbi'"),
+        ({"defenders": ("prbi:wisdom=1",)}, "wisdom"),
+        ({"defenders": ("tests.test_benchmark.Nobody",)}, "no defender 'tests.test_benchmark.Nobody'"),
+        ({"defenders": ("no.such.module",)}, "name one of prbi"),
+        ({"attacks": ("pdg",)}, "unknown attacker 'pdg'"),
+    ],
+)
+def test_what_cannot_be_made_is_refused_before_anything_is_encoded(
+    crew: Crew, change: dict[str, Any], message: str
 ) -> None:
-    monkeypatch.setattr("defenders.REGISTRY", {"grumpy": Grumpy})
-    cells = plan(PROTOCOL, defenders=("grumpy",), attacks=("none",), ks=(1,), seeds=(0,))
+    good: dict[str, Any] = {"defenders": ("none",), "attacks": ("pgd",), "ks": (1,), "seeds": (0,)}
+    cells = plan(PROTOCOL, **{**good, **change})
+
+    def never(_: Protocol) -> SceneBank:
+        raise AssertionError
+
+    with pytest.raises(ValueError, match=message):
+        list(prepare(cells, PROTOCOL, replace(crew, open_bank=never)))
+
+
+def test_a_defender_that_fails_ends_its_episode_and_is_named(crew: Crew, tmp_path: Path) -> None:
+    name = f"{__name__}.Grumpy"  # a class of one's own, by its path
+    cells = plan(PROTOCOL, defenders=(name,), attacks=("none",), ks=(1,), seeds=(0,))
     list(run(cells, PROTOCOL, Store(tmp_path), crew))
     for record in Store(tmp_path).load(cells, PROTOCOL)[cells[0]]:
         assert len(record.damage) == 3
@@ -276,7 +297,7 @@ def test_a_defender_that_fails_ends_its_episode_and_is_named(
         assert "no more" in record.error
     (row,) = summarise(Store(tmp_path).load(cells, PROTOCOL), resamples=10)
     assert row.n_errors == 2
-    assert "grumpy (2 failed)" in markdown([row])
+    assert "Grumpy (2 failed)" in markdown([row])
 
 
 # ── the figures ──────────────────────────────────────────────────────────────────────────────────────────────────────
@@ -406,8 +427,8 @@ def program(bank: SceneBank, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
 
     monkeypatch.setattr(benchmark, "open_source", lambda _: SOURCE)
     monkeypatch.setattr("cp_env.evaluation.cells.open_source", lambda _: SOURCE)
-    monkeypatch.setattr(benchmark, "open_bank", lambda _: bank)
-    monkeypatch.setattr(benchmark, "Crew", lambda **knobs: Crew(**knobs, open_bank=lambda _: bank))
+    monkeypatch.setattr(benchmark.evaluation, "open_bank", lambda _: bank)
+    monkeypatch.setattr(benchmark.evaluation, "Crew", lambda **knobs: Crew(**knobs, open_bank=lambda _: bank))
     yield benchmark
 
 

@@ -15,7 +15,7 @@ import torch
 from cp_env.bank import SceneBank
 from cp_env.detector import load_detector
 from cp_env.evaluation.cells import Cell, Protocol, parse
-from cp_env.evaluation.stage import Attacker, Clock, Learned, play
+from cp_env.evaluation.stage import Attacker, Clock, Learned, open_defender, play
 from cp_env.evaluation.store import Store
 from cp_env.scenes import open_source
 
@@ -44,8 +44,16 @@ class Crew:
             raise ValueError(f"workers and threads must be at least 1, not {self.workers} and {self.threads}")
 
 
-def prepare(protocol: Protocol, crew: Crew) -> Iterator[str]:
-    """Encode every scene that the cache does not hold yet, and tell its name when it is there."""
+def prepare(cells: Sequence[Cell], protocol: Protocol, crew: Crew) -> Iterator[str]:
+    """Encode every scene that the cache does not hold yet, and tell its name when it is there.
+
+    Raises ValueError, before anything is encoded, for a defender or an attacker of the cells that cannot be made.
+    """
+    for defender in {cell.defender: None for cell in cells}:
+        open_defender(defender)
+    for attack in {cell.attack: None for cell in cells}:
+        name, knobs = parse(attack)
+        crew.make_attacker(name, **knobs)
     yield from _each(_encode, [(name, protocol, crew) for name in protocol.names], crew)
 
 

@@ -6,6 +6,7 @@ import time
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
+from importlib import import_module
 from typing import Any, runtime_checkable
 from typing import Protocol as Interface
 
@@ -20,6 +21,7 @@ from cp_env.evaluation.store import IOUS, Record
 from cp_env.game import Game
 from cp_env.metrics import ApMeter
 from cp_env.world import Outcome, Situation, World
+from defenders.protocol import Defender
 
 VIEWPOINT = ("action", "observation", "knowledge")
 """The knobs a learned attacker brings along; the rest is the protocol's."""
@@ -62,8 +64,7 @@ class Stage:
         attacker: Attacker | Learned,
         clock: Clock = time.perf_counter,
     ) -> None:
-        name, knobs = parse(cell.defender)
-        defender = defenders.make(name, **knobs)
+        defender = open_defender(cell.defender)
         settings = asdict(protocol.settings(cell.k))
         self.seconds = 0.0
         if isinstance(attacker, Attacker):
@@ -102,6 +103,25 @@ class Stage:
             return outcome
 
         self.world.step = timed  # type: ignore[method-assign]
+
+
+def open_defender(spec: str) -> Defender:
+    """The defender a spec names: one of `defenders.names()`, or a class of yours as `package.module.Class`.
+
+    Raises ValueError for an unknown name, a class that cannot be imported, and knobs it has not.
+    """
+    name, knobs = parse(spec)
+    if "." not in name:
+        return defenders.make(name, **knobs)
+    module, _, attribute = name.rpartition(".")
+    try:
+        factory = getattr(import_module(module), attribute)
+    except (ImportError, AttributeError) as error:
+        known = ", ".join(defenders.names())
+        raise ValueError(
+            f"no defender {name!r} ({error}): name one of {known}, or a class that can be imported"
+        ) from error
+    return defenders.make(factory, **knobs)
 
 
 def play(
