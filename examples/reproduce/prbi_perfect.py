@@ -9,11 +9,12 @@ one liar the first frame's groups of 4 and 1 single it out in 1 of 5 runs and th
 two candidates in all others, so whoever convicts nobody wrongly needs at least 0.2 · 1 + 0.8 · 3 = 2.6 frames (the
 paper: 2.25, with nobody wronged). The innocents convicted at k = 2 and 3 come from the second condition: while
 random groups keep mixing liars with a last innocent of probability zero, m rises past the number of zeros.
+min, max, first and mean count verifications a frame: over all frames, in the first abnormal frame, over all frames. Our
+least is 0 where ⌊m⌋ = 0: one group is empty and the other is everyone, whose view is known.
 """
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,6 +26,7 @@ from rich.table import Table
 from cp_env.intervals import Interval, bootstrap_interval, t_interval
 from defenders import Prbi, Reading
 from defenders.perfect import Episode, play
+from defenders.readings import SPLITS
 
 PAPER = {  # k: verifications min, max, first frame, mean; frames to convergence; ID %, MC %
     1: (2, 2, 2.00, 2.00, 2.25, 100, 0),
@@ -91,27 +93,34 @@ def share(episode: Episode, *, liars: bool) -> float:
 
 def beside_the_paper(args: Args) -> Table:
     title = f"PRBI, perfect verifier, n = {args.n}, {args.episodes} episodes a row, 95 % intervals"
-    table = Table(
-        "k", "", "verif. min", "max", "first frame", "mean", "frames", "ID %", "MC %", "no end %", title=title
-    )
+    table = Table("k", "", "min", "max", "first", "mean", "frames", "ID %", "MC %", "no end %", title=title)
     for k in range(1, args.n):
         ours = measure(args, k, Reading())
-        row = [f"{x:.2f}" for x in (ours.first, ours.mean, ours.frames)]
-        rates = [f"{ours.identified:.1f}", f"{ours.wronged:.1f}", f"{100 * ours.unsettled:.1f}"]
-        table.add_row(str(k), "ours", str(ours.least), str(ours.most), *row, *rates)
+        row = [short(x, 2) for x in (ours.first, ours.mean, ours.frames)] + [
+            short(ours.identified),
+            short(ours.wronged),
+        ]
+        table.add_row(str(k), "ours", str(ours.least), str(ours.most), *row, f"{100 * ours.unsettled:.0f}")
         if args.n == 5:
-            table.add_row("", "paper", *(str(x) for x in PAPER[k]), "", end_section=True)
+            least, most, first, mean, frames, *rates = PAPER[k]
+            figures = [f"{x:.2f}" for x in (first, mean, frames)]
+            table.add_row("", "paper", str(least), str(most), *figures, *map(str, rates), "", end_section=True)
     return table
 
 
+def short(interval: Interval, digits: int = 0) -> str:
+    return f"{interval.mean:.{digits}f} ± {(interval.high - interval.low) / 2:.{digits}f}"
+
+
 def all_readings(args: Args) -> Table:
-    table = Table("split", "refresh", "second", *(f"k = {k}" for k in range(1, args.n)), title="frames · ID % · MC %")
-    for split, refresh, second in itertools.product(
-        ("once", "halves", "members", "replace"), (False, True), ("floor", "nearest", "ceiling")
-    ):
-        cells = [measure(args, k, Reading(split, refresh, second)) for k in range(1, args.n)]
+    readings = [Reading(split, refresh) for split in SPLITS for refresh in (False, True)]
+    readings += [Reading(second="nearest"), Reading(second="ceiling")]
+    columns = ("split", "refresh", "second", *(f"k = {k}" for k in range(1, args.n)))
+    table = Table(*columns, title=f"frames · ID % · MC %, {args.episodes} episodes a cell")
+    for reading in readings:
+        cells = [measure(args, k, reading) for k in range(1, args.n)]
         row = [f"{c.frames.mean:.2f} · {c.identified.mean:.0f} · {c.wronged.mean:.0f}" for c in cells]
-        table.add_row(split, str(refresh), second, *row, end_section=second == "ceiling")
+        table.add_row(reading.split, str(reading.refresh), reading.second, *row)
     if args.n == 5:
         table.add_row("paper", "", "", *(f"{PAPER[k][4]:.2f} · {PAPER[k][5]} · {PAPER[k][6]}" for k in PAPER))
     return table

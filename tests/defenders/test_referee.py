@@ -17,7 +17,9 @@ def view(group: frozenset[int], frame: int) -> View:
     """One car at the same place in the world, or none where a liar hides it."""
     boxes = np.array([[8.0, 3.0, 4.5, 1.9, 0.2]])[: int(frame == 0 or LIARS.isdisjoint(group))]
     found = Detections(boxes, np.full(len(boxes), 0.9))
-    return View(group, frame, np.zeros(2), found, found, np.zeros((64, 64)))
+    score_map = np.zeros((64, 64))
+    score_map[35, 40] = 0.9 * len(boxes)
+    return View(group, frame, np.zeros(2), found, found, score_map)
 
 
 @pytest.mark.parametrize("name", defenders.names())
