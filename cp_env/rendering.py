@@ -76,14 +76,13 @@ def draw(picture: Picture) -> Image3:
     return np.asarray(image)
 
 
-def write_gif(frames: Sequence[Image3], path: str | Path, *, fps: float = 5.0, colours: int = 48) -> Path:
-    """Write the frames as one endlessly repeating GIF with a shared palette of `colours`; returns the path."""
+def write_gif(frames: Sequence[Image3], path: str | Path, *, fps: float = 5.0) -> Path:
+    """Write the frames as one endlessly repeating GIF in the picture's own colours; returns the path."""
     if not frames:
         raise ValueError("a GIF needs at least one frame, got none")
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    sample = np.concatenate([frames[i] for i in sorted({0, len(frames) // 2, len(frames) - 1})])
-    palette = Image.fromarray(sample).quantize(colours, method=Image.Quantize.MEDIANCUT)
+    palette = _palette()
     images = [Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
     images[0].save(path, save_all=True, append_images=images[1:], duration=round(1000 / fps), loop=0, optimize=False)
     return path
@@ -148,7 +147,7 @@ def _panel(
 
 def _box(pen: ImageDraw.ImageDraw, outline: list[tuple[float, float]], colour: Colour, width: int, wrong: bool) -> None:
     """A box; filled where truth and perception differ."""
-    pen.polygon(outline, fill=tuple((3 * g + c) // 4 for g, c in zip(GROUND, colour, strict=True)) if wrong else None)
+    pen.polygon(outline, fill=_shade(colour, 4) if wrong else None)
     pen.polygon(outline, outline=colour, width=width)
 
 
@@ -237,6 +236,25 @@ def _strip(pen: ImageDraw.ImageDraw, picture: Picture) -> None:
 
 
 # ── what every frame shares ──────────────────────────────────────────────────────────────────────────────────────────
+
+
+@lru_cache(maxsize=1)
+def _palette() -> Image.Image:
+    """Every colour that is drawn, and steps between ground and text for its soft edges."""
+    colours = [GRID, FRAME, STREET, OTHERS, EGO, TRUE, SEEN, MISSED, GHOST, LIAR, SUSPECT]
+    colours += [_shade(MISSED, 4), _shade(GHOST, 4)]
+    steps = np.linspace(0, 1, 9)[:, None]
+    for bright in (INK, FAINT):
+        colours += [(int(r), int(g), int(b)) for r, g, b in np.round(GROUND + steps * np.subtract(bright, GROUND))]
+    image = Image.new("P", (1, 1))
+    image.putpalette([value for colour in dict.fromkeys(colours) for value in colour])
+    return image
+
+
+def _shade(colour: Colour, parts: int) -> Colour:
+    """One part of the colour on the ground."""
+    red, green, blue = (((parts - 1) * g + c) // parts for g, c in zip(GROUND, colour, strict=True))
+    return red, green, blue
 
 
 @lru_cache(maxsize=16)

@@ -21,13 +21,12 @@ import torch
 import tyro
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-from rich.table import Table
 
 import agents
 from agents.policy import load_policy
 from cp_env import evaluation
 from cp_env.evaluation.film import film
-from cp_env.evaluation.report import COLUMNS, LEGEND, entry
+from cp_env.evaluation.report import GLOSSARY
 from cp_env.rendering import Image3, write_gif
 from cp_env.scenes import open_source
 
@@ -93,7 +92,10 @@ def main(args: Args) -> None:
         rows,
         evaluation.about(protocol, command, seeds=args.seeds, workers=args.workers, threads=args.threads),
     )
-    console.print(table(rows, protocol), LEGEND, sep="\n")
+    size = f"{len(protocol.names)} scenes, {protocol.frames} frames, {protocol.n_vehicles} vehicles"
+    console.print(
+        evaluation.screen(rows), f"{size}; means (intervals are in the files)", GLOSSARY, sep="\n", highlight=False
+    )
     console.print("written:", *paths)
     if args.gif:
         console.print("filmed: ", write_gif(filmed(args, protocol), args.out / "episode.gif"))
@@ -119,17 +121,6 @@ def counted(progress: Progress, what: str, steps: Iterator[T], total: int) -> It
     for step in steps:
         progress.advance(task)
         yield step
-
-
-def table(rows: list[evaluation.Row], protocol: evaluation.Protocol) -> Table:
-    """The means; the intervals are in the files."""
-    size = f"{len(protocol.names)} scenes, {protocol.frames} frames, {protocol.n_vehicles} vehicles"
-    made = Table("defender", "attack", "k", *(head for head, _, _ in COLUMNS), title=size, title_justify="left")
-    for row, following in zip(rows, [*rows[1:], None], strict=True):
-        figures = (entry(row, figure, spec, interval=False) for _, figure, spec in COLUMNS)
-        last = following is None or (row.attack, row.k) != (following.attack, following.k)
-        made.add_row(row.defender, row.attack, str(row.k), *figures, end_section=last)
-    return made
 
 
 def filmed(args: Args, protocol: evaluation.Protocol) -> list[Image3]:

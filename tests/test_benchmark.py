@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import itertools
 import json
 import sys
@@ -13,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from rich.console import Console
 
 import agents
 from cp_env.bank import SceneBank
@@ -32,6 +34,7 @@ from cp_env.evaluation import (
     play,
     prepare,
     run,
+    screen,
     summarise,
     write_report,
 )
@@ -406,9 +409,24 @@ def test_the_report_says_how_to_make_it_again(whole: Path) -> None:
     assert data["about"]["versions"]["torch"]
     assert len(data["rows"]) == 4
     text = (whole / "results.md").read_text()
-    heads, _, *rows = [line for line in text.splitlines() if line.startswith("|")]
-    assert len(rows) == 4
-    assert len({line.count("|") for line in (heads, *rows)}) == 1
+    tables = [[line for line in part.splitlines() if line.startswith("|")] for part in text.split("```")[::2]]
+    for table in tables:
+        assert len(table) == 2 + 4
+        assert len({line.count("|") for line in table}) == 1
+
+
+def test_the_table_fits_a_terminal_of_eighty_columns() -> None:
+    rows = rows_of(
+        none__none=[record("a", "1111", 4, liars=())], prbi__pgd=[record("a", "10", 4), record("b", "10", 4)]
+    )
+    rows["long"] = replace(rows["prbi__pgd"], defender="prbi:threshold=calibrated", n_errors=2)
+    console = Console(width=80, file=io.StringIO())
+    console.print(screen(list(rows.values())))
+    shown = console.file.getvalue()  # type: ignore[attr-defined]
+    assert max(map(len, shown.splitlines())) <= 80
+    assert "…" not in shown
+    assert "nobody lies" in shown
+    assert "pgd, 2 liars" in shown
 
 
 def test_a_film_has_a_picture_for_every_frame(bank: SceneBank) -> None:
@@ -440,7 +458,7 @@ def test_the_program_writes_tables_and_a_film_and_goes_on(
     assert {"results.json", "results.md", "episode.gif", "cells"} == {
         file.name for file in (tmp_path / "out").iterdir()
     }
-    assert "recovered" in capsys.readouterr().out
+    assert "AP@.5" in capsys.readouterr().out
     stamps = {file: file.stat().st_mtime_ns for file in (tmp_path / "out" / "cells").iterdir()}
     program.main(replace(args, gif=False))
     assert stamps == {file: file.stat().st_mtime_ns for file in (tmp_path / "out" / "cells").iterdir()}

@@ -148,7 +148,8 @@ def test_wrong_rows_by_hand(seen: np.ndarray, truth: np.ndarray, ghosts: set[int
 
 
 def test_a_gif_plays_every_frame_and_needs_one(tmp_path: Path) -> None:
-    frames = [draw(replace(NOTHING, frame=t, truth=boxes((t, 9)))) for t in range(6)]
+    cast = replace(NOTHING, liars=frozenset({0}), suspects=frozenset({0}), seen=detections((20, 20)))
+    frames = [draw(replace(cast, frame=t, truth=boxes((t, 9)))) for t in range(6)]
     path = write_gif(frames, tmp_path / "deep" / "episode.gif", fps=5)
     with Image.open(path) as gif:
         assert gif.n_frames == 6
@@ -157,5 +158,14 @@ def test_a_gif_plays_every_frame_and_needs_one(tmp_path: Path) -> None:
         gif.seek(5)
         shown = np.asarray(gif.convert("RGB")).astype(int)
     assert np.abs(shown - frames[5]).mean() < 2
+    for colour in (
+        rendering.LIAR,
+        rendering.SUSPECT,
+        rendering.GHOST,
+        rendering.MISSED,
+        rendering.TRUE,
+        rendering.SEEN,
+    ):
+        assert ((shown == colour).all(-1) == (frames[5] == colour).all(-1)).all()
     with pytest.raises(ValueError, match="at least one frame"):
         write_gif([], tmp_path / "none.gif")

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from cp_env.evaluation.cells import Cell, Protocol, parse, plan
 from cp_env.evaluation.figures import Row, summarise
-from cp_env.evaluation.report import about, markdown, write_report
+from cp_env.evaluation.report import about, markdown, screen, write_report
 from cp_env.evaluation.runner import Crew, open_bank, prepare, run
 from cp_env.evaluation.stage import Attacker, Learned, Stage, play
 from cp_env.evaluation.store import Record, Store
@@ -36,6 +36,7 @@ __all__ = [
     "play",
     "prepare",
     "run",
+    "screen",
     "summarise",
     "write_report",
 ]

@@ -1,13 +1,15 @@
 """From episodes to the table: one row for each defender, attack and number of liars, every figure with its interval.
 
 The unit is the scene, with all of its seeds: AP and recovery are pooled over frames, and their intervals are
-bootstrapped over scenes; the other figures are means over a scene's episodes, with Student's t over scenes.
+bootstrapped over scenes; the other figures are means over a scene's episodes, with Student's t over scenes, cut at
+what is possible (no count below 0, no share above 1).
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import groupby
 
 import numpy as np
@@ -83,13 +85,16 @@ def _row(
         ours, theirs, best = (_pooled(of, iou) for of in (records, bare, clean))
         return _bootstrap(lambda rows: recovery(ours(rows), theirs(rows), best(rows)), len(scenes), resamples)
 
-    def mean(figure: Callable[[Record], float | None]) -> Interval | None:
+    def mean(figure: Callable[[Record], float | None], most: float = math.inf) -> Interval | None:
         values = [[value for r in scene if (value := figure(r)) is not None] for scene in scenes.values()]
         means = np.array([np.mean(scene) for scene in values if scene])
-        return t_interval(means) if len(means) else None
+        if not len(means):
+            return None
+        interval = t_interval(means)
+        return replace(interval, low=max(interval.low, 0.0), high=min(interval.high, most))
 
-    def sure(figure: Callable[[Record], float]) -> Interval:
-        interval = mean(figure)
+    def sure(figure: Callable[[Record], float], most: float = math.inf) -> Interval:
+        interval = mean(figure, most)
         assert interval is not None
         return interval
 
@@ -108,11 +113,11 @@ def _row(
         verifications=sure(lambda r: float(np.mean(_judged(r)))),
         verifications_alarmed=mean(lambda r: float(np.mean([v for v in _judged(r) if v])) if any(_judged(r)) else None),
         verifications_max=max(max(r.verifications) for r in records),
-        alarms=sure(lambda r: float(np.mean([v > 0 for v in _judged(r)]))),
-        converged=sure(lambda r: float(r.converged is not None)),
+        alarms=sure(lambda r: float(np.mean([v > 0 for v in _judged(r)])), 1.0),
+        converged=sure(lambda r: float(r.converged is not None), 1.0),
         frames_to_convergence=mean(lambda r: None if r.converged is None else r.converged - r.grace_frames + 1.0),
-        id_rate=mean(lambda r: id_rate(r.suspects, r.liars) if r.liars else None),
-        mc_rate=sure(lambda r: mc_rate(r.suspects, r.liars, r.n_maps)),
+        id_rate=mean(lambda r: id_rate(r.suspects, r.liars) if r.liars else None, 1.0),
+        mc_rate=sure(lambda r: mc_rate(r.suspects, r.liars, r.n_maps), 1.0),
         frames_per_second=sum(len(r.damage) for r in records) / max(sum(r.seconds for r in records), 1e-9),
     )
 

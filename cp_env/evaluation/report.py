@@ -7,8 +7,11 @@ import platform
 from collections.abc import Sequence
 from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
+from itertools import groupby
 from pathlib import Path
 from typing import Any
+
+from rich.table import Table
 
 from cp_env.evaluation.cells import Protocol
 from cp_env.evaluation.figures import Row
@@ -17,41 +20,45 @@ from cp_env.intervals import Interval
 
 PACKAGES = ("cp-env", "torch", "numpy", "scipy", "gymnasium", "pettingzoo", "stable-baselines3")
 
-# heading, figure of a row, format
-COLUMNS: tuple[tuple[str, str, str], ...] = (
-    ("AP@0.5", "ap50", ".3f"),
-    ("AP@0.7", "ap70", ".3f"),
-    ("recovered", "recovery50", ".2f"),
-    ("damage", "damage", ".1f"),
-    ("verif./frame", "verifications", ".2f"),
-    ("at alarm", "verifications_alarmed", ".2f"),
-    ("max", "verifications_max", "d"),
-    ("alarms", "alarms", ".2f"),
-    ("converged", "converged", ".2f"),
-    ("in frames", "frames_to_convergence", ".1f"),
-    ("ID", "id_rate", ".2f"),
-    ("MC", "mc_rate", ".2f"),
-    ("fps", "frames_per_second", ".0f"),
+# heading, figure of a row, format, whether the short table has it
+COLUMNS: tuple[tuple[str, str, str, bool], ...] = (
+    ("AP@.5", "ap50", ".3f", True),
+    ("AP@.7", "ap70", ".3f", True),
+    ("back", "recovery50", ".2f", True),
+    ("damage", "damage", ".1f", True),
+    ("looks/frame", "verifications", ".2f", False),
+    ("looks", "verifications_alarmed", ".2f", True),
+    ("most", "verifications_max", "d", True),
+    ("alarms", "alarms", ".2f", False),
+    ("sure", "converged", ".2f", False),
+    ("after", "frames_to_convergence", ".1f", True),
+    ("ID", "id_rate", ".2f", True),
+    ("MC", "mc_rate", ".2f", True),
+    ("fps", "frames_per_second", ".0f", True),
 )
+SHORT = tuple(column for column in COLUMNS if column[3])
 
-LEGEND = """\
-Mean and 95 % interval over scenes, each with all of its seeds: bootstrapped for AP and recovery, Student's t elsewhere.
+INTERVALS = """\
+Mean and 95 % interval over scenes, each with all of its seeds: bootstrapped for AP
+and what comes back, Student's t elsewhere, cut at what is possible.
+"""
 
-* AP: of the output, strict protocol: every vehicle in range counts, seen or hidden; pooled over frames.
-* recovered: share of the AP@0.5 that the attack takes from an undefended ego which the defender restores.
+GLOSSARY = """\
+* AP: of the output, pooled over frames; every vehicle in range counts, seen or not.
+* back: share of the AP@.5 lost to the attack by an undefended ego that comes back.
 * damage: 1 - Jaccard to the unattacked output, summed over an episode.
-* verif./frame: groups looked at, a frame; at alarm: in a frame with at least one; max: in any frame.
-* alarms: share of the frames with at least one.
-* converged: share of episodes in which the defender came to a conclusion; in frames: of attack, where it did.
-* ID, MC: share of the liars, and of the honest, accused when it converged, else in the last frame.
+* looks: verifications in a frame with at least one; most: in any frame;
+  looks/frame: over all frames; alarms: share of frames with at least one.
+* sure: share of episodes in which the defender converged; after: frames of attack.
+* ID, MC: share of the liars, of the honest, accused when it converged or at the end.
 * fps: defended frames a second, the attacker's time left out.
 
 Frames of grace, in which no perturbation acts, count for AP, damage and fps only.
 """
 
 
-def entry(row: Row, figure: str, spec: str, *, interval: bool = True) -> str:
-    """One figure as text: "0.812 [0.790, 0.833]", or "–" where it means nothing."""
+def entry(row: Row, figure: str, spec: str, *, interval: bool) -> str:
+    """One figure as text: "0.812 [0.790, 0.833]" or "0.812", and "–" where it means nothing."""
     value = getattr(row, figure)
     if value is None:
         return "–"
@@ -60,16 +67,34 @@ def entry(row: Row, figure: str, spec: str, *, interval: bool = True) -> str:
     return format(value, spec) if interval else format(value.mean, spec)
 
 
-def markdown(rows: Sequence[Row]) -> str:
-    """The whole table with intervals, and what its columns mean."""
-    heads = ["defender", "attack", "k", *(head for head, _, _ in COLUMNS)]
-    lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
+def markdown(rows: Sequence[Row], *, short: bool = False) -> str:
+    """The table in Markdown: every figure with its interval, or the most telling ones without."""
+    columns = SHORT if short else COLUMNS
+    heads = ["defender", "attack", "k", *(column[0] for column in columns)]
+    lines = ["| " + " | ".join(heads) + " |", "|---|---|" + "--:|" * (len(heads) - 2)]
     for row in rows:
-        name = row.defender + (f" ({row.n_errors} failed)" if row.n_errors else "")
-        cells = [name, row.attack, str(row.k), *(entry(row, figure, spec) for _, figure, spec in COLUMNS)]
-        lines.append("| " + " | ".join(cells) + " |")
-    size = f"{rows[0].n_scenes} scenes, {rows[0].n_episodes} episodes a row. " if rows else ""
-    return "\n".join(lines) + "\n\n" + size + LEGEND
+        figures = (entry(row, figure, spec, interval=not short) for _, figure, spec, _ in columns)
+        lines.append("| " + " | ".join([_name(row), row.attack, str(row.k), *figures]) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def screen(rows: Sequence[Row]) -> Table:
+    """The short table for a terminal of eighty columns."""
+    made = Table(box=None, padding=(0, 1, 0, 0), pad_edge=False)
+    made.add_column("", overflow="fold")
+    for head, *_ in SHORT:
+        made.add_column(head, justify="right", no_wrap=True)
+    for (attack, k), same in groupby(rows, key=lambda row: (row.attack, row.k)):
+        game = "nobody lies" if k == 0 else f"{attack}, {k} liar{'s' if k > 1 else ''}"
+        made.add_row()
+        made.add_row(f"[bold]{game}[/bold]")
+        for row in same:
+            made.add_row(_name(row), *(entry(row, figure, spec, interval=False) for _, figure, spec, _ in SHORT))
+    return made
+
+
+def _name(row: Row) -> str:
+    return row.defender + (f" ({row.n_errors} failed)" if row.n_errors else "")
 
 
 def about(protocol: Protocol, command: str, **notes: Any) -> dict[str, Any]:
@@ -88,7 +113,15 @@ def write_report(folder: Path, rows: Sequence[Row], conditions: dict[str, Any]) 
     json_path, markdown_path = folder / "results.json", folder / "results.md"
     data = {"about": conditions, "rows": [asdict(row) for row in rows]}
     write_atomically(json_path, json.dumps(data, indent=1) + "\n")
-    write_atomically(markdown_path, f"{markdown(rows)}\n```sh\n{conditions['command']}\n```\n")
+    size = f"{rows[0].n_scenes} scenes, {rows[0].n_episodes} episodes a row." if rows else "Nothing was played."
+    parts = (
+        markdown(rows, short=True),
+        f"```sh\n{conditions['command']}\n```\n",
+        markdown(rows),
+        f"{size} {INTERVALS}",
+        GLOSSARY,
+    )
+    write_atomically(markdown_path, "\n".join(parts))
     return json_path, markdown_path
 
 
