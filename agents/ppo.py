@@ -17,11 +17,11 @@ from agents.policy import Policy, save_policy
 from cp_env.game import Game
 
 PPO_KNOBS: dict[str, Any] = {
-    "n_steps": 64,
-    "batch_size": 256,
+    "n_steps": 32,
+    "batch_size": 128,
     "n_epochs": 8,
     "learning_rate": 1e-3,
-    "gamma": 0.95,
+    "gamma": 0.9,
     "gae_lambda": 0.9,
     "ent_coef": 0.0,
 }

@@ -19,6 +19,7 @@ from stable_baselines3.common.vec_env import VecMonitor
 
 from agents.ppo import FrameDamage, Holdout, load_checkpoint, make_ppo
 from agents.sb3 import make_vec_env
+from agents.scenes import Some
 from cp_env.game import Game
 
 
@@ -28,7 +29,7 @@ class Args:
     """whom to beat: any name of defenders.names()"""
     seed: int = 0
     """of the learner, the scenes and the liars"""
-    frames: int = 12_000
+    frames: int = 5_000
     """frames of traffic to learn from, all worlds together"""
     worlds: int = 8
     """worlds stepped together"""
@@ -36,17 +37,19 @@ class Args:
     n_attackers: int = 2
     knowledge: str = "gray-box"
     """how much of the defender the policy sees: black-box, gray-box or white-box"""
-    max_frames: int = 100
+    max_frames: int = 50
     """length of an episode"""
     scenes: str = "town/train"
+    n_scenes: int = 12
+    """how many of them to learn on: each is encoded once, which takes seconds"""
     holdout: str = "town/calibration"
     """scenes on which the policy to keep is chosen"""
-    holdout_worlds: int = 10
+    n_holdout: int = 6
     """how many of them, one episode each"""
-    every: int = 6
+    every: int = 5
     """rollouts between two checkpoints"""
     learning_rate: float = 1e-3
-    gamma: float = 0.95
+    gamma: float = 0.9
     out: Path | None = None
     """folder for checkpoints, curves and the policy; runs/<defender>-<seed> if not given"""
 
@@ -63,17 +66,17 @@ def main(args: Args) -> None:
         "knowledge": args.knowledge,
         "max_frames": args.max_frames,
     }
-    env = VecMonitor(make_vec_env(args.worlds, args.defender, scenes=args.scenes, **knobs))
+    env = VecMonitor(make_vec_env(args.worlds, args.defender, scenes=Some(args.scenes, args.n_scenes), **knobs))
     env.seed(args.seed)
     model = make_ppo(env, args.seed, tensorboard=out, learning_rate=args.learning_rate, gamma=args.gamma)
     checkpoint = out / "checkpoint.pt"
     if checkpoint.exists():
         load_checkpoint(model, checkpoint)
 
-    game = Game(args.holdout_worlds, args.defender, scenes=args.holdout, **knobs)
+    held_out = Some(args.holdout, args.n_holdout)
     holdout = Holdout(
-        game,
-        game.world.bank.source.names()[: args.holdout_worlds],
+        Game(args.n_holdout, args.defender, scenes=held_out, **knobs),
+        held_out.names(),
         out,
         defender=args.defender,
         knobs=knobs,

@@ -1,0 +1,31 @@
+"""A part of a scene source: encoding a scene costs seconds, and a small learner needs only some of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from cp_env.scenes import open_source
+from cp_env.types import Scene, SceneSource, Sweep
+
+
+class Some:
+    """`n` scenes of a source, spread evenly over its list. Encoded maps are shared with the whole source's."""
+
+    def __init__(self, source: str | SceneSource, n: int) -> None:
+        self._source = open_source(source)
+        self.name, self.digest = self._source.name, self._source.digest
+        names = self._source.names()
+        if not 1 <= n <= len(names):
+            raise ValueError(f"{self.name} holds {len(names)} scenes: ask for 1 to {len(names)} of them, not {n}")
+        self._names = tuple(names[i] for i in np.linspace(0, len(names) - 1, n).astype(int))
+
+    def names(self) -> tuple[str, ...]:
+        return self._names
+
+    def load(self, name: str) -> Scene:
+        return self._source.load(name)
+
+    def sweeps(self, scene: Scene, frames: Sequence[int]) -> list[list[Sweep]]:
+        return self._source.sweeps(scene, frames)
