@@ -95,13 +95,19 @@ def library_files() -> list[Path]:
 def test_library_code_is_portable(file: Path) -> None:
     """Nothing prints, nothing asks for CUDA by name, nothing draws from a global generator, no path is absolute."""
     tree = ast.parse(file.read_text())
+    forked = {
+        inner
+        for node in ast.walk(tree)
+        if isinstance(node, ast.With) and any("fork_rng" in ast.unparse(item) for item in node.items)
+        for inner in ast.walk(node)
+    }
     for node in ast.walk(tree):
         if isinstance(node, ast.Call):
             called = ast.unparse(node.func)
             assert called != "print" or file.name == "cli.py", f"print in line {node.lineno}"
             assert not called.endswith(".cuda"), f".cuda() in line {node.lineno}"
             seeds = {"torch.manual_seed", "np.random.seed", "random.seed"}
-            assert called not in seeds, f"global seed in line {node.lineno}"
+            assert called not in seeds or node in forked, f"global seed in line {node.lineno}"
         if isinstance(node, ast.Constant) and isinstance(node.value, str):
             assert not re.match(r"/(home|root|work|tmp|usr|mnt)/", node.value), f"absolute path in line {node.lineno}"
 
