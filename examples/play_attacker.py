@@ -21,26 +21,34 @@ from rich.table import Table
 
 import agents
 from agents.episodes import Episodes, Player, begin, by_attacker, by_chance, by_policy, play
-from agents.policy import Policy, load_policy
+from agents.policy import Policy, load_policy, policy_names
+from agents.scenes import Some
 from cp_env.camera import Camera
 from cp_env.game import Game
 from cp_env.intervals import Interval, t_interval
 from cp_env.rendering import write_gif
 
+HEADINGS = {
+    "damage per episode": "damage",
+    "liars left out": "excluded",
+    "similarity": "similarity",
+    "verifications a frame": "verifications",
+}
+
 
 @dataclass
 class Args:
-    policies: list[str] = field(default_factory=lambda: ["prbi"])
-    """names of shipped policies, or .safetensors files; several of one recipe are its training seeds"""
+    policies: list[str] = field(default_factory=lambda: [name for name in policy_names() if name.startswith("prbi-")])
+    """names of shipped policies, or .safetensors files: the training seeds of one recipe"""
     scenes: str = "town/test"
-    n_scenes: int = 20
-    """the first so many scenes, one episode each"""
-    worlds: int = 10
+    n_scenes: int = 15
+    """how many of them, one episode each"""
+    worlds: int = 5
     """worlds stepped together; divides n_scenes"""
     seed: int = 0
     """of the liars and of all noise, the same for every attacker"""
     out: Path = Path("runs/play")
-    """folder of attackers.json, attackers.md and attacker.gif"""
+    """folder of attackers.json and attacker.gif"""
     gif_frames: int = 100
     """length of the GIF; 0 for none"""
 
@@ -49,24 +57,25 @@ def main(args: Args) -> None:
     torch.set_num_threads(1)
     policies = [load_policy(name) for name in args.policies]
     _agree(policies)
-    game = Game(args.worlds, policies[0].defender, scenes=args.scenes, **policies[0].knobs)
-    scenes = game.world.bank.source.names()[: args.n_scenes]
+    source = Some(args.scenes, args.n_scenes)
+    scenes = source.names()
+    game = Game(args.worlds, policies[0].defender, scenes=source, **policies[0].knobs)
     players: dict[str, list[Player]] = {
         "nobody lies": [by_attacker(agents.make("none"))],
         "random actions": [by_chance],
         "PGD on every frame": [by_attacker(agents.make("pgd"))],
         "PGD on whom the ego fused last": [by_attacker(agents.make("pgd", audience="fused"))],
-        f"PPO ({len(policies)} training seed{'s' * (len(policies) > 1)})": [by_policy(policy) for policy in policies],
+        "PPO": [by_policy(policy) for policy in policies],
     }
-    total = sum(map(len, players.values()))
-    jobs = track([(name, p) for name, row in players.items() for p in row], "playing", total=total)
+    jobs = [(name, player) for name, row in players.items() for player in row]
     played: dict[str, list[Episodes]] = {name: [] for name in players}
-    for name, player in jobs:
+    for name, player in track(jobs, "playing"):
         played[name].append(play(game, player, scenes, args.seed))
     args.out.mkdir(parents=True, exist_ok=True)
     _report(played, policies[0].defender, args)
     if args.gif_frames:
-        _film(policies[0], game, scenes[0], args)
+        best = max(policies, key=lambda policy: policy.notes.get("holdout_damage", 0.0))
+        _film(best, game, scenes[-1], args)
 
 
 def _agree(policies: list[Policy]) -> None:
@@ -77,20 +86,25 @@ def _agree(policies: list[Policy]) -> None:
 
 
 def _report(played: dict[str, list[Episodes]], defender: str, args: Args) -> None:
-    """Intervals over training seeds where there are several, else over scenes."""
+    """Intervals over training seeds where there are several, else over scenes; then PPO and the rest scene by scene."""
     title = f"against {defender} on {args.n_scenes} scenes of {args.scenes}, 95 % intervals"
-    table = Table(
-        "attacker", "damage per episode", "liars left out", "similarity", "verifications a frame", title=title
-    )
-    rows = {}
+    table = Table("attacker", "runs", *HEADINGS, title=title)
+    rows: dict[str, dict[str, object]] = {}
+    learned = np.mean([run.damage for run in played["PPO"]], axis=0)
     for name, runs in played.items():
-        figures = [
-            _interval(runs, operator.attrgetter(key))
-            for key in ("damage", "excluded", "similarity", "verifications")
-        ]
-        table.add_row(name, format(figures[0], ".1f"), *(format(figure, ".2f") for figure in figures[1:]))
-        rows[name] = {"damage": asdict(figures[0]), "by_run": [run.damage.tolist() for run in runs]}
-    Console().print(table)
+        figures = [_interval(runs, operator.attrgetter(key)) for key in HEADINGS.values()]
+        table.add_row(
+            name, str(len(runs)), format(figures[0], ".1f"), *(format(figure, ".2f") for figure in figures[1:])
+        )
+        rows[name] = {key: asdict(figure) for key, figure in zip(HEADINGS.values(), figures, strict=True)}
+        rows[name]["damage by run and scene"] = [run.damage.tolist() for run in runs]
+        if name != "PPO":
+            rows[name]["PPO does more"] = asdict(t_interval(learned - runs[0].damage))
+    console = Console()
+    console.print(table)
+    for name in ("random actions", "PGD on every frame"):
+        more = t_interval(learned - played[name][0].damage)
+        console.print(f"PPO does {format(more, '.1f')} more damage per episode than {name} (paired by scene)")
     (args.out / "attackers.json").write_text(json.dumps(rows, indent=1))
 
 

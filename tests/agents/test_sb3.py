@@ -12,6 +12,7 @@ from gymnasium import Wrapper
 from agents import episodes, ppo
 from agents.policy import load_policy, policy_names, save_policy
 from agents.sb3 import AdversaryVecEnv, make_vec_env
+from agents.scenes import Some
 from cp_env.bank import SceneBank
 from cp_env.detector import Detector
 from cp_env.game import Game
@@ -203,6 +204,14 @@ def test_every_player_meets_the_same_episodes(bank: SceneBank) -> None:
     assert observed[:2] == observed[2:]
     with pytest.raises(ValueError, match="fill batches"):
         episodes.play(Game(3, bank=bank), spy, bank.source.names(), seed=0)
+
+
+def test_some_scenes_of_a_source() -> None:
+    source = ToySource()
+    assert Some(source, 2).names() == source.names() and Some(source, 1).names() == source.names()[:1]
+    assert Some(source, 1).digest == source.digest  # encoded once for both
+    with pytest.raises(ValueError, match="1 to 2"):
+        Some(source, 3)
 
 
 @pytest.mark.parametrize("content", [None, b"torn"])
