@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Literal, get_args
 
 import numpy as np
 import torch
@@ -19,7 +18,7 @@ from cp_env.detector.adversarial import lies
 from cp_env.detector.decoder import Dense
 from cp_env.world import Situation
 
-Audience = Literal["everyone", "fused"]
+AUDIENCES = ("everyone", "fused")
 Goal = Callable[[Dense, Dense], Float[Tensor, " B"]]
 Loss = Callable[[Float[Tensor, "B k C H W"]], Float[Tensor, " B"]]
 
@@ -55,13 +54,13 @@ class Ascent:
     step_size: float = 0.1
     random_start: bool = True
     objective: Goal = field(default_factory=Objective)
-    audience: Audience = "everyone"
+    audience: str = "everyone"
     schedule: Schedule = always
     _streams: list[np.random.Generator] = field(default_factory=list, init=False, repr=False)
 
     def __post_init__(self) -> None:
-        if self.audience not in get_args(Audience):
-            raise ValueError(f"audience must be one of {get_args(Audience)}, got {self.audience!r}")
+        if self.audience not in AUDIENCES:
+            raise ValueError(f"audience must be one of {AUDIENCES}, got {self.audience!r}")
         if self.steps < 0 or not self.step_size > 0:
             raise ValueError(f"ascent needs steps >= 0 and step_size > 0, got {self.steps} and {self.step_size}")
 
