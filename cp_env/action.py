@@ -18,8 +18,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from cp_env.channel import inject, project
-from cp_env.detector.adversarial import adversarial_loss
+from cp_env.channel import project
+from cp_env.detector.adversarial import adversarial_loss, lies
 from cp_env.detector.decoder import cell_centres
 from cp_env.settings import ACTIONS, choose
 from cp_env.world import Situation
@@ -152,20 +152,24 @@ class Guided(ActionMap):
         busy = useful.any(1).nonzero()[:, 0]  # worlds in which somebody's lie can still reach the ego
         weights = guidance.fires[busy] * useful[busy]
         weights = weights / weights.sum(1, keepdim=True).clamp(min=1)
-        attackers, coverage = situation.attackers[busy], situation.coverage[busy]
-        received, groups = situation.received[busy], situation.fused[busy]
+        attackers = situation.attackers[busy]
         poses = situation.ego_T_sender[busy].gather(1, attackers[..., None].expand(-1, -1, 3))
         clean = type(situation.clean)(situation.clean.logits[busy], situation.clean.boxes[busy])
         where = (_aim(guidance, situation)[busy] * weights[..., None, None]).sum(1)
         spoof, drift = (weights * guidance.spoof[busy]).sum(1), (weights * guidance.drift[busy]).sum(1)
         moving, reach = delta[busy], radius[busy]
-        rows = torch.arange(len(busy), device=delta.device)
+        perceive = lies(
+            situation.detector,
+            situation.received[busy],
+            situation.coverage[busy],
+            situation.fused[busy],
+            attackers,
+            poses,
+        )
         for _ in range(self.steps):
             moving = moving.detach().requires_grad_()
             with torch.enable_grad():
-                maps = inject(received, situation.detector.warp(moving, poses), attackers)
-                dense = situation.detector.perceive(maps, coverage, rows, groups)
-                loss = adversarial_loss(dense, clean, hide=1 - spoof, spoof=spoof, drift=drift, where=where)
+                loss = adversarial_loss(perceive(moving), clean, hide=1 - spoof, spoof=spoof, drift=drift, where=where)
                 (gradient,) = torch.autograd.grad(loss.sum(), moving)
             step = _steepest(gradient, situation.norm) * reach * (2.0 / self.steps)
             moving = _shrink(moving.detach() + step, reach, situation.norm)

@@ -198,7 +198,7 @@ def make_views(
 ) -> list[View]:
     """Detections and score map of each row of `dense`, as the opaque views that defenders compare.
 
-    `places` are where the ego stood in each: in a group without it the others see the ego itself, which it knows better.
+    `places` are where the ego stood in each: others see it and may report it, but it knows better.
     """
     origins = [grid_origin(place) for place in places]
     own = np.stack([place - origin for place, origin in zip(places, origins, strict=True)])

@@ -10,10 +10,11 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, UInt8
 
 from cp_env.action import make_action
 from cp_env.bank import SceneBank
+from cp_env.camera import Camera
 from cp_env.detector import Detector
 from cp_env.observation import Observation, Observer, Seats
 from cp_env.reward import make_reward
@@ -75,6 +76,7 @@ class Game:
         self._map = make_action(settings.action, *shape)
         self._observer = Observer(settings, *shape)
         self._reward = make_reward(settings.reward)
+        self._camera = Camera(self.world)
         self._fresh = np.ones(num_envs, dtype=bool)
         self.outcome: Outcome | None = None
 
@@ -112,6 +114,7 @@ class Game:
         worlds = list(range(self.num_envs) if worlds is None else worlds)
         self.world.reset(seeds, worlds, options)
         self._map.reset(worlds)
+        self._camera.forget(worlds)
         self._fresh[worlds] = True
         return self._observe()
 
@@ -122,6 +125,7 @@ class Game:
         checked = self._map.checked(actions, (self.num_envs, len(self.slots)))
         delta = self._map(self._liars_rows(checked), self.world.situation())
         self.outcome = self.world.step(delta)
+        self._camera.watch(self.outcome)
         self._fresh[:] = False
         reward = np.repeat(self._reward(self.outcome)[:, None], len(self.slots), axis=1).astype(np.float32)
         observation, infos = self._observe()
@@ -131,6 +135,10 @@ class Game:
         """Every vehicle's encoded map, for centralised critics and joint attackers."""
         episode, frame = self.world.places[world]
         return episode.maps("features", frame).numpy()
+
+    def render(self, world: int = 0) -> UInt8[np.ndarray, "h w 3"]:
+        """The picture of a world's last frame (see `cp_env.rendering`)."""
+        return self._camera.shoot(world)
 
     def _seats(self) -> Seats:
         attackers = self.world.attackers

@@ -33,8 +33,8 @@ LATTICE = 2.0
 def grid_origin(place: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 2"]:
     """Where in the world the grid frame of whoever stands at `place` begins: the lattice point next to it; m.
 
-    All maps share one lattice, so moving one into another's frame shifts it by whole cells and blurs nothing. Our choice:
-    the paper leaves the frames open, and vehicles that share maps share their poses anyway.
+    All maps share one lattice, so moving one into another's frame shifts it by whole cells and blurs nothing. Our
+    choice: the paper leaves the frames open, and vehicles that share maps share their poses anyway.
     """
     return np.round(np.asarray(place, dtype=np.float64) / LATTICE) * LATTICE
 

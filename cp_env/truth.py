@@ -10,7 +10,7 @@ from cp_env.types import Scene
 
 
 def rows_in_range(scene: Scene, frame: int, ego: int, extent: float) -> Int[np.ndarray, " L"]:
-    """The scene's vehicles whose centre lies within ±extent metres (x and y) of the grid origin of vehicle row `ego`."""
+    """The scene's vehicles whose centre lies within ±extent m (x and y) of the grid origin of vehicle row `ego`."""
     offset = np.abs(scene.pose[frame, :, :2] - grid_origin(scene.pose[frame, ego, :2]))
     inside = (offset < extent).all(axis=1)  # a NaN (absent) compares false
     inside[ego] = False

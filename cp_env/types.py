@@ -30,9 +30,9 @@ class Scene:
     dt: float  # seconds between frames
     pose: Float[np.ndarray, "T M 3"]  # x, y, yaw of the box centre; m, m, rad
     size: Float[np.ndarray, "M 3"]  # length, width, height; m
-    connected: Int[np.ndarray, " A"]  # rows of the radio-equipped vehicles, present in every frame; the first is the ego
+    connected: Int[np.ndarray, " A"]  # rows of those with a radio, present in every frame; the first is the ego
     rsu: Float[np.ndarray, " 3"] | None  # x, y, z of the road-side unit's sensor
-    obstacles: Float[np.ndarray, "B 6"]  # x, y, yaw, length, width, height of buildings, walls, trunks: standing on the ground
+    obstacles: Float[np.ndarray, "B 6"]  # x, y, yaw, length, width, height; buildings, walls, trunks on the ground
 
     @property
     def n_frames(self) -> int:
@@ -67,7 +67,7 @@ class Detections:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """What the ego perceives when it fuses one group of maps. Opaque to defenders: they hold it, compare it, hand it back."""
+    """What the ego perceives when it fuses one group of maps. Opaque to defenders: they hold it and compare it."""
 
     group: frozenset[int]
     frame: int
@@ -93,5 +93,3 @@ class SceneSource(Protocol):
     def sweeps(self, scene: Scene, frames: Sequence[int]) -> list[list[Sweep]]:
         """`[frame][agent]`: the connected vehicles in order, then the road-side unit if the scene has one."""
         ...
-
-

@@ -110,7 +110,7 @@ class Detector(nn.Module):
             if isinstance(module, Conv):
                 module.fold()
         self.decoder.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-        return self.requires_grad_(False)
+        return self.eval().requires_grad_(False)  # folding put fresh modules in
 
     @property
     def digest(self) -> str:

@@ -4,9 +4,9 @@
     python examples/reproduce/similarity_table.py --write defenders/thresholds.json  # and calibrate PRBI's thresholds
 
 PRBI (Sec. 11.1) judges every group by one threshold, 0.35. Here the similarity, Eq. (5), of every group of five
-vehicles to the honest view of the frame before is measured on the calibration scenes, PGD lying jointly in k = 0 … 4 vehicles
-(Δ 0.3, 15 steps of 0.1). The threshold of a size is the one that errs least on them: the mean of "an honest group
-fails" and "a group with a liar passes", the latter averaged over the numbers of liars so that each counts alike.
+vehicles to the honest view of the frame before is measured on the calibration scenes, PGD lying jointly in k = 0 … 4
+vehicles (Δ 0.3, 15 steps of 0.1). The threshold of a size is the one that errs least on them: the mean of "an honest
+group fails" and "a group with a liar passes", the latter averaged over the numbers of liars so that each counts alike.
 """
 
 from __future__ import annotations

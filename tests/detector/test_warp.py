@@ -90,13 +90,23 @@ def test_leading_axes_are_batch_axes() -> None:
     together, masks = detector.warp(maps, poses), detector.coverage(poses)
     for e in range(2):
         for n in range(3):
-            assert torch.equal(together[e, n], detector.warp(maps[e, n], poses[e, n]))
+            assert torch.allclose(together[e, n], detector.warp(maps[e, n], poses[e, n]), atol=1e-5)
             assert torch.equal(masks[e, n], detector.coverage(poses[e, n]))
 
 
-def test_gradient_reaches_the_sender() -> None:
+@given(st.integers(-40, 40), st.integers(-40, 40), st.integers(0, 5))
+def test_whole_cells_are_copied_as_they_would_be_sampled(columns: int, rows: int, seed: int) -> None:
+    maps = random_map(seed)
+    copied = warp(maps, pose(2.0 * columns, 2.0 * rows), EXTENT)
+    sampled = warp(maps, pose(2.0 * columns, 2.0 * rows, 2 * math.pi), EXTENT)  # a full turn is no shift: it is sampled
+    assert torch.allclose(copied, sampled, atol=1e-3)
+    assert set(copied.unique().tolist()) <= set(maps.unique().tolist()) | {0.0}, "nothing is blurred"
+
+
+@pytest.mark.parametrize("at", [(3.0, -5.0), (4.0, -6.0)])
+def test_gradient_reaches_the_sender(at: tuple[float, float]) -> None:
     maps = random_map(0).requires_grad_()
-    warp(maps, pose(3.0, -5.0), EXTENT).sum().backward()
+    warp(maps, pose(*at), EXTENT).sum().backward()
     assert maps.grad is not None
     assert maps.grad[:, 10:25, 5:25].min() == pytest.approx(1.0, abs=1e-4)  # each inner cell is handed on whole
     assert not maps.grad[:, :2].any()  # and the southern rows left the ego's map

@@ -1,4 +1,4 @@
-"""One frame of one world, written out as the paper's formulas with no batching and no cache: the slow twin of World.step."""
+"""One frame of one world as the paper's formulas, with no batching and no cache: the slow twin of World.step."""
 
 from __future__ import annotations
 

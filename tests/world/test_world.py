@@ -17,7 +17,7 @@ from tests.reference.one_world import boxes_of, look
 
 
 class Curious(Defender):
-    """Looks at every pair with vehicle 0 and at two singles, fuses the one most like everybody: exercises the referee."""
+    """Looks at every pair with vehicle 0 and at two singles, fuses the one most like everybody."""
 
     def reset(self, n_vehicles: int, rng: np.random.Generator) -> None:
         self.n, self.rng = n_vehicles, rng
