@@ -211,7 +211,7 @@ def _tool(name: str) -> Path:
         ImportError: SUMO is not installed; the message says how to get it.
     """
     try:
-        import sumo  # type: ignore[import-untyped]
+        import sumo
     except ImportError as error:
         raise ImportError(NEEDS_SUMO) from error
     return Path(sumo.SUMO_HOME) / "bin" / name
