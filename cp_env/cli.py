@@ -40,6 +40,33 @@ def scenes(source: str = "town/test") -> None:
     Console().print(table)
 
 
+def scenes_export(
+    source: str,
+    out: Path,
+    layout: str = "v2x-sim",
+    names: tuple[str, ...] = (),
+    frames: int | None = None,
+    vehicles: int | None = None,
+) -> None:
+    """Write the scenes of a source in the layout of a public data set, for other tools to read.
+
+    Args:
+        source: a name such as "town/test", or kind:path?option=value.
+        out: a new folder.
+        layout: "v2x-sim" (tables in the nuScenes format) or "opv2v".
+        names: the scenes; all of them by default.
+        frames: only the first so many of each scene.
+        vehicles: only the first so many connected vehicles of each scene have a sensor.
+    """
+    from rich.console import Console
+
+    from cp_env.scenes import open_source
+    from cp_env.scenes.export import export
+
+    export(open_source(source), out, layout=layout, names=names, frames=frames, vehicles=vehicles)
+    Console().print(f"{out}: written in the layout of {layout}", soft_wrap=True)
+
+
 def play(
     defender: str = "prbi",
     out: Path = Path("episode.gif"),
@@ -132,10 +159,21 @@ def check(
 
 
 def main(args: list[str] | None = None) -> None:
-    """What the console script calls; `args` are the command line's unless given."""
+    """What the console script calls; `args` are the command line's unless given. A command may be two words."""
+    import sys
+
     import tyro
 
-    commands: dict[str, Callable[..., None]] = {"scenes": scenes, "play": play, "check": check, "version": version}
+    commands: dict[str, Callable[..., None]] = {
+        "scenes": scenes,
+        "scenes-export": scenes_export,
+        "play": play,
+        "check": check,
+        "version": version,
+    }
+    args = sys.argv[1:] if args is None else args
+    if "-".join(args[:2]) in commands:
+        args = ["-".join(args[:2]), *args[2:]]
     try:
         tyro.extras.subcommand_cli_from_dict(commands, prog="cp-env", description=__doc__, args=args)
     except ValueError as error:
