@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import uuid
 from collections import OrderedDict
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -61,8 +62,17 @@ class Episode:
 
     def maps(self, name: str, frame: int) -> Float[Tensor, "N C H W"]:
         """`features` or `received` of one frame, single precision."""
-        stack = np.stack([maps[frame] for maps in getattr(self, name)])
-        return torch.from_numpy(stack).float()
+        return stack_maps([(self, frame)], name)[0]
+
+
+def stack_maps(places: Sequence[tuple[Episode, int]], name: str) -> Float[Tensor, "E N C H W"]:
+    """`features` or `received` of E (episode, frame), single precision, each map read straight to its place."""
+    sources = [[maps[frame] for maps in getattr(episode, name)] for episode, frame in places]
+    stacked = torch.empty(len(sources), len(sources[0]), *sources[0][0].shape)
+    for rows, maps in zip(stacked, sources, strict=True):
+        for row, one in zip(rows, maps, strict=True):
+            row.copy_(torch.from_numpy(one))
+    return stacked
 
 
 class SceneBank:
@@ -132,7 +142,9 @@ class SceneBank:
         path = self._path(scene, kind, agent)
         shape = (scene.n_frames, self.detector.channels, self.detector.size, self.detector.size)
         try:
-            maps: np.ndarray = np.load(path, mmap_mode="r", allow_pickle=False)
+            maps: np.ndarray = np.load(
+                path, mmap_mode="c", allow_pickle=False
+            )  # torch wants it writable; "c" writes nowhere
             if maps.shape != shape or maps.dtype != np.float16:
                 raise ValueError(f"it holds {maps.dtype} {maps.shape}, not float16 {shape}")
         except (ValueError, OSError, EOFError) as error:
@@ -175,7 +187,7 @@ class SceneBank:
         everyone = torch.ones(1, len(received), dtype=torch.bool)
         group, views, logits, boxes = frozenset(range(len(received))), [], [], []
         for t in range(scene.n_frames):
-            maps = torch.from_numpy(np.stack([m[t] for m in received])).float()[None]
+            maps = torch.stack([torch.from_numpy(m[t]) for m in received]).float()[None]
             with torch.inference_mode():
                 dense = self.detector.perceive(maps, coverage[t : t + 1], torch.zeros(1, dtype=torch.long), everyone)
                 views += make_views(self.detector, dense, [group], [t], [ego_place(scene, t)])

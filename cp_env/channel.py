@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
@@ -9,10 +10,10 @@ NORMS = ("linf", "l2")
 
 
 def norm_of(delta: Float[Tensor, "*n C H W"], norm: str) -> Float[Tensor, "*n"]:
-    """‖δ‖ of every map: the largest entry ("linf") or the Euclidean length over all entries ("l2")."""
+    """‖δ‖ of every map: the largest entry ("linf") or the Euclidean length over all entries ("l2"); NaN if one is."""
     flat = delta.flatten(-3)
     if norm == "linf":
-        return flat.abs().amax(-1)
+        return torch.maximum(flat.amin(-1).abs(), flat.amax(-1).abs())
     return flat.double().norm(dim=-1).to(delta.dtype)  # single precision loses 1e-5 over so many entries
 
 
@@ -28,5 +29,6 @@ def inject(
     received: Float[Tensor, "E N C H W"], warped: Float[Tensor, "E k C H W"], attackers: Int[Tensor, "E k"]
 ) -> Float[Tensor, "E N C H W"]:
     """What the ego holds once the liars' warped perturbations are added to their rows; differentiable in `warped`."""
-    index = attackers[..., None, None, None].expand_as(warped)
-    return received.scatter_add(1, index, warped)
+    worlds, maps = received.shape[:2]
+    rows = torch.arange(worlds, device=attackers.device)[:, None] * maps + attackers
+    return received.flatten(0, 1).index_add(0, rows.flatten(), warped.flatten(0, 1)).unflatten(0, (worlds, maps))

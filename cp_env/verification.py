@@ -29,18 +29,34 @@ class Frame:
     index: int
     n_vehicles: int
     seen: View
-    _memo: dict[frozenset[int], tuple[View, View, float]] = field(default_factory=dict, repr=False)
+    _previous: View | None = field(default=None, repr=False)  # the last output, which most defenders compare with
+    _memo: dict[tuple[int, int], tuple[View, View, float]] = field(default_factory=dict, repr=False)
 
     def similarity(self, a: View, b: View) -> float:
         """Jaccard similarity of two views, PRBI Eq. (5); the older one is moved by the ego's motion first."""
-        key = frozenset((id(a), id(b)))  # unique as long as the memo holds both objects
-        if key not in self._memo:
-            self._memo[key] = (a, b, similarity.view_similarity(a, b))
-        return self._memo[key][2]
+        if _key(a, b) not in self._memo:
+            self._memo[_key(a, b)] = (a, b, similarity.view_similarity(a, b))
+        return self._memo[_key(a, b)][2]
 
     def agreement(self, a: View, b: View) -> float:
         """Consistency of two views' score maps (PASAC's CCLoss)."""
         return similarity.agreement(a, b)
+
+
+def _key(a: View, b: View) -> tuple[int, int]:
+    """The same for both orders; no other pair's as long as the memo holds both objects."""
+    return (id(a), id(b)) if id(a) < id(b) else (id(b), id(a))
+
+
+def foresee(looked: Sequence[tuple[Frame, View]]) -> None:
+    """Compare fresh views with their frame's last output, all in one go, before anyone asks: many at once cost little.
+
+    Nothing a defender sees depends on it: similarities asked for later are taken from here instead of computed.
+    """
+    pairs = [(frame, view, frame._previous) for frame, view in looked if frame._previous is not None]
+    values = similarity.view_similarity_many([(view, previous) for _, view, previous in pairs])
+    for (frame, view, previous), value in zip(pairs, values.tolist(), strict=True):
+        frame._memo[_key(view, previous)] = (view, previous, value)
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,6 +150,7 @@ def judge(frames: Sequence[Frame], defenders: Sequence[Defender], perceive: Perc
         _Case(world=e, frame=frame, defender=defender, views={frame.seen.group: frame.seen})
         for e, (frame, defender) in enumerate(zip(frames, defenders, strict=True))
     ]
+    foresee([(frame, frame.seen) for frame in frames])
     try:
         running = cases
         while running:
@@ -152,8 +169,10 @@ def _look(perceive: Perceive, wanted: Sequence[tuple[_Case, frozenset[int]]]) ->
     """Compute the views that are not there yet, all worlds in one call."""
     missing = {(case.world, group): case for case, group in wanted if group not in case.views}
     if missing:
-        for (pair, case), view in zip(missing.items(), perceive(list(missing)), strict=True):
+        views = perceive(list(missing))
+        for (pair, case), view in zip(missing.items(), views, strict=True):
             case.views[pair[1]] = view
+        foresee([(case.frame, view) for case, view in zip(missing.values(), views, strict=True)])
 
 
 def _judgement(case: _Case) -> Judgement:

@@ -14,7 +14,7 @@ from torch import Tensor
 
 import defenders
 from cp_env import channel, similarity
-from cp_env.bank import Episode, SceneBank, ego_place, make_views
+from cp_env.bank import Episode, SceneBank, ego_place, make_views, stack_maps
 from cp_env.detector import Detector, load_detector
 from cp_env.detector.decoder import Dense
 from cp_env.scenes import open_source
@@ -209,7 +209,7 @@ class World:
 
     def features(self) -> Float[Tensor, "E N C H W"]:
         """Every vehicle's encoded map of the current frame, in its own grid frame."""
-        return torch.stack([episode.maps("features", t) for episode, t in self.places]).to(self.device)
+        return stack_maps(self.places, "features").to(self.device)
 
     def situation(self) -> Situation:
         """The current frame before anyone acts; computed once a frame."""
@@ -217,7 +217,7 @@ class World:
             places = self.places
             self._situation = Situation(
                 features=self.features,
-                received=torch.stack([ep.maps("received", t) for ep, t in places]).to(self.device),
+                received=stack_maps(places, "received").to(self.device),
                 coverage=torch.stack([ep.coverage[t] for ep, t in places]).to(self.device),
                 ego_T_sender=torch.stack([ep.ego_T_sender[t] for ep, t in places]).to(self.device),
                 clean=Dense(
@@ -244,7 +244,8 @@ class World:
             attacked, norms = self._transmit(situation, delta)
             perceive = self._perceiver(attacked, situation)
             seen = perceive([(e, self._everyone) for e in range(self.num_envs)])
-            frames = [Frame(s.frame, self.settings.n_maps, v) for s, v in zip(self._worlds, seen, strict=True)]
+            states = zip(self._worlds, seen, strict=True)
+            frames = [Frame(s.frame, self.settings.n_maps, view, s.output) for s, view in states]
             judgements = judge(frames, self.defenders, perceive)
             outcome = self._outcome(frames, judgements, norms)
             self._advance(outcome)
@@ -256,13 +257,14 @@ class World:
         shape = (*situation.attackers.shape, *situation.received.shape[2:])
         if tuple(delta.shape) != shape:
             raise ValueError(f"a perturbation must have shape [E, k, C, H, W] = {shape}, not {tuple(delta.shape)}")
-        if not bool(torch.isfinite(delta).all()):
+        sent = channel.norm_of(delta.detach().to(self.device), situation.norm)
+        if not bool(torch.isfinite(sent).all()):
             raise ValueError("a perturbation must be finite, but it holds NaN or infinity; check the attacker")
+        if not bool((sent * situation.active[:, None]).any()):
+            return situation.received, torch.zeros_like(sent).cpu().numpy()
         delta = channel.project(delta.detach().to(self.device), situation.budget, situation.norm)
         delta = delta * situation.active[:, None, None, None, None]
         norms = channel.norm_of(delta, situation.norm).cpu().numpy()
-        if not norms.any():
-            return situation.received, norms
         index = situation.attackers[..., None].expand(-1, -1, 3)
         warped = self.detector.warp(delta, situation.ego_T_sender.gather(1, index))
         return channel.inject(situation.received, warped, situation.attackers), norms

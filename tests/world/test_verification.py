@@ -7,8 +7,9 @@ from collections.abc import Iterable
 import numpy as np
 import pytest
 
+from cp_env.similarity import view_similarity
 from cp_env.types import Detections, View
-from cp_env.verification import Frame, Pair, judge
+from cp_env.verification import Frame, Pair, foresee, judge
 from defenders.protocol import Defender, Inspection, Query, Verdict
 
 N = 4
@@ -143,3 +144,20 @@ def test_generators_are_closed_when_the_eyes_fail() -> None:
 def test_a_frame_shows_nothing_about_lies() -> None:
     shown = {name for name in dir(Frame(0, N, view_of({0}))) if not name.startswith("_")}
     assert shown == {"index", "n_vehicles", "seen", "similarity", "agreement"}
+
+
+def test_similarities_foreseen_are_those_computed_when_asked() -> None:
+    rng = np.random.default_rng(0)
+
+    def random_view(frame: int) -> View:
+        boxes = np.concatenate([rng.uniform(-30, 30, (6, 2)), rng.uniform(3, 12, (6, 2)), rng.uniform(0, 3, (6, 1))], 1)
+        found = Detections(boxes, np.ones(6))
+        return View(frozenset({0}), frame, 2.0 * rng.integers(0, 4, 2), found, found, np.zeros((4, 4)))
+
+    previous = random_view(0)
+    frames = [Frame(1, N, random_view(1), previous), Frame(1, N, previous, previous), Frame(0, N, random_view(0))]
+    foresee([(frame, frame.seen) for frame in frames])
+    assert [len(frame._memo) for frame in frames] == [1, 1, 0]
+    for frame in frames[:2]:
+        assert frame.similarity(previous, frame.seen) == view_similarity(frame.seen, previous)
+        assert len(frame._memo) == 1
