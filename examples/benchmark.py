@@ -46,6 +46,7 @@ class Args:
     seeds: tuple[int, ...] = (0,)
     vehicles: int = 5
     budget: float = 0.3  # Δ
+    protocol: str = "strict"  # how AP is counted: "strict" or "coperception"
     batch: int = 4  # scenes in lock-step
     workers: int = 1  # processes
     threads: int = 1  # torch threads of each
@@ -61,7 +62,7 @@ class Args:
 def main(args: Args) -> None:
     console = Console()
     torch.set_num_threads(args.threads)
-    protocol = evaluation.Protocol(args.scenes, chosen(args), args.frames, args.vehicles, args.budget)
+    protocol = evaluation.Protocol(args.scenes, chosen(args), args.frames, args.vehicles, args.budget, ap=args.protocol)
     cells = evaluation.plan(
         protocol,
         defenders=args.defenders,

@@ -1,8 +1,8 @@
 """How well a detector sees, nobody lying: `python -m cp_env.detector.evaluate --scenes town/test`.
 
-Strict AP of the first vehicles of every scene, fused in groups of growing size around the ego, vehicle 0; the Jaccard
-similarity of consecutive frames, the ego's motion taken out; and how large the shared features are, against which an
-attack's budget is to be judged.
+AP of the first vehicles of every scene, fused in groups of growing size around the ego, vehicle 0 (strict, unless
+`--protocol` says otherwise); the Jaccard similarity of consecutive frames, the ego's motion taken out; and how large
+the shared features are, against which an attack's budget is to be judged.
 """
 
 from __future__ import annotations
@@ -45,6 +45,7 @@ class Args:
     n_vehicles: int = 5
     frames: int = 100  # of each scene, from its first on
     limit: int | None = None  # so many scenes only
+    protocol: str = "strict"  # how AP is counted: "strict" or "coperception" (see `cp_env.metrics`)
     calibrate: bool = False  # choose the operating threshold on these scenes and write it into `weights`
     json: Path | None = None  # where to write the figures too
     threads: int = 1
@@ -73,6 +74,7 @@ class Report:
     precision: float  # at the operating threshold, IoU 0.5
     recall: float
     threshold: float
+    protocol: str  # of AP
     visible: float  # share of the truth that could be seen at all
     mean: float  # of the shared maps
     high: float  # their 99th percentile
@@ -137,19 +139,19 @@ def precision_recall(meter: ApMeter, threshold: float) -> tuple[float, float]:
     return float(hits[found].sum() / max(found.sum(), 1)), float(hits[found].sum() / max(meter.n_truth, 1))
 
 
-def meters(seen: Sequence[Seen]) -> list[ApMeter]:
+def meters(seen: Sequence[Seen], protocol: str = "strict") -> list[ApMeter]:
     """One for each group size."""
-    filled = [ApMeter((0.5, 0.7)) for _ in seen[0].detections]
+    filled = [ApMeter((0.5, 0.7), protocol) for _ in seen[0].detections]
     for frame in seen:
         for meter, detections in zip(filled, frame.detections, strict=True):
             meter.add(detections, frame.truth)
     return filled
 
 
-def report(seen: Sequence[Seen], threshold: float) -> Report:
-    """All figures of the frames."""
-    by_size = meters(seen)
-    precision, recall = precision_recall(by_size[-1], threshold)
+def report(seen: Sequence[Seen], threshold: float, protocol: str = "strict") -> Report:
+    """All figures of the frames; precision and recall are strict."""
+    by_size = meters(seen, protocol)
+    precision, recall = precision_recall(meters(seen)[-1], threshold)
     mean, high = np.mean([frame.magnitude for frame in seen], axis=0)
     return Report(
         n_frames=len(seen),
@@ -159,6 +161,7 @@ def report(seen: Sequence[Seen], threshold: float) -> Report:
         precision=precision,
         recall=recall,
         threshold=threshold,
+        protocol=protocol,
         visible=sum(frame.n_visible for frame in seen) / max(sum(len(frame.truth) for frame in seen), 1),
         mean=float(mean),
         high=float(high),
@@ -178,7 +181,7 @@ def calibrate(seen: Sequence[Seen]) -> float:
 
 def table(result: Report) -> Table:
     """The figures for the screen."""
-    grid = Table(title=f"nobody lying, {result.n_frames} frames")
+    grid = Table(title=f"nobody lying, {result.n_frames} frames, {result.protocol} AP")
     grid.add_column("vehicles fused")
     grid.add_column("AP@0.5")
     grid.add_column("AP@0.7")
@@ -210,7 +213,7 @@ def main(args: Args) -> None:
         trained = read_detector(args.weights)
         trained.threshold = threshold
         save_detector(trained, args.weights, **{**about(args.weights), "calibrated": args.scenes})
-    result = report(seen, threshold)
+    result = report(seen, threshold, args.protocol)
     console = Console(width=120)
     console.print(table(result))
     console.print(remarks(result), highlight=False)

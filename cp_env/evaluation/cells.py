@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass
 from itertools import product
 from typing import Any
 
+from cp_env.metrics import rules
 from cp_env.scenes import open_source
 from cp_env.settings import Settings
 from cp_env.types import SceneSource
@@ -30,8 +31,10 @@ class Protocol:
     rsu: bool = False
     fusion: str = "mean"
     grace_frames: int = 1
+    ap: str = "strict"  # how average precision is counted: see `cp_env.metrics`
 
     def __post_init__(self) -> None:
+        rules(self.ap)
         if not self.names:
             raise ValueError("a benchmark needs at least one scene, got none")
         unknown = sorted(set(self.names) - set(open_source(self.scenes).names()))
@@ -55,7 +58,8 @@ class Protocol:
         """All of it, fit for JSON."""
         scenes = self.scenes if isinstance(self.scenes, str) else self.scenes.name
         shared = {name: value for name, value in asdict(self.settings(0)).items() if name in self.__dataclass_fields__}
-        return {"scenes": scenes, "names": list(self.names), "frames": self.frames, **shared}
+        ap = {} if self.ap == "strict" else {"ap": self.ap}  # the default leaves the names of stored cells as they were
+        return {"scenes": scenes, "names": list(self.names), "frames": self.frames, **shared, **ap}
 
 
 @dataclass(frozen=True)

@@ -34,7 +34,7 @@ class Row:
     n_scenes: int
     n_episodes: int
     n_errors: int  # episodes the defender's own failure ended
-    ap50: Interval  # of the output, strict protocol
+    ap50: Interval  # of the output, by the benchmark's AP protocol
     ap70: Interval
     recovery50: (
         Interval | None

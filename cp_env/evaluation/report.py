@@ -45,6 +45,7 @@ and what comes back, Student's t elsewhere, cut at what is possible.
 
 GLOSSARY = """\
 * AP: of the output, pooled over frames; every vehicle in range counts, seen or not.
+  Counted strictly unless the conditions name another protocol.
 * back: share of the AP@.5 lost to the attack by an undefended ego that comes back.
 * damage: 1 - Jaccard to the unattacked output, summed over an episode.
 * looks: verifications in a frame with at least one; most: in any frame;

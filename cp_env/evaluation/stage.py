@@ -134,7 +134,7 @@ def play(
     """Play every scene of the cell to its end; one record a scene."""
     stage = Stage(cell, protocol, bank, attacker, clock)
     liars = stage.world.attackers.tolist()
-    tapes = [_Tape(scene, tuple(numbers)) for scene, numbers in zip(cell.names, liars, strict=True)]
+    tapes = [_Tape(scene, tuple(numbers), protocol.ap) for scene, numbers in zip(cell.names, liars, strict=True)]
     while any(tape.running for tape in tapes):
         before = stage.seconds
         outcome = stage.move()
@@ -157,9 +157,9 @@ def _reset(worlds: World | Game, cell: Cell) -> Any:
 class _Tape:
     """One world's episode while it runs."""
 
-    def __init__(self, scene: str, liars: tuple[int, ...]) -> None:
+    def __init__(self, scene: str, liars: tuple[int, ...], ap: str) -> None:
         self.scene, self.liars, self.running = scene, liars, True
-        self.meter = ApMeter(IOUS)
+        self.meter = ApMeter(IOUS, ap)
         self.damage: list[float] = []
         self.similarity: list[float] = []
         self.verifications: list[int] = []

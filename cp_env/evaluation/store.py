@@ -29,18 +29,23 @@ class Counted(ApMeter):
         hits: Mapping[float, Bool[np.ndarray, " D"]],
         n_truth: int,
         n_frames: int,
+        protocol: str = "strict",
     ) -> None:
-        super().__init__(hits)
+        super().__init__(hits, protocol)
         self.n_truth, self.n_frames = n_truth, n_frames
         self._matched = {iou: (scores, hit) for iou, hit in hits.items()}
 
     @classmethod
     def pool(cls, meters: Sequence[ApMeter]) -> Counted:
-        """One meter of several episodes."""
+        """One meter of several episodes. ValueError if they count by different protocols."""
+        protocols = {meter.protocol for meter in meters}
+        if len(protocols) != 1:
+            raise ValueError(f"meters of different AP protocols do not merge: {sorted(protocols)}")
         matched = {iou: [meter.matched(iou) for meter in meters] for iou in meters[0].thresholds}
         hits = {iou: np.concatenate([hit for _, hit in parts]) for iou, parts in matched.items()}
         scores = np.concatenate([score for score, _ in matched[meters[0].thresholds[0]]])
-        return cls(scores, hits, sum(m.n_truth for m in meters), sum(m.n_frames for m in meters))
+        n_truth, n_frames = sum(m.n_truth for m in meters), sum(m.n_frames for m in meters)
+        return cls(scores, hits, n_truth, n_frames, *protocols)
 
     def merge(self, other: ApMeter) -> Counted:
         return Counted.pool([self, other])
@@ -71,7 +76,7 @@ class Record:
         scores = self.meter.matched(IOUS[0])[0].astype(np.float32)
         hits = {str(iou): _pack(np.packbits(self.meter.matched(iou)[1])) for iou in IOUS}
         counts = {"n_truth": self.meter.n_truth, "n_frames": self.meter.n_frames, "n_boxes": len(scores)}
-        return {**plain, "boxes": {**counts, "scores": _pack(scores), "hits": hits}}
+        return {**plain, "boxes": {**counts, "protocol": self.meter.protocol, "scores": _pack(scores), "hits": hits}}
 
     @classmethod
     def from_json(cls, data: dict[str, Any]) -> Record:
@@ -82,7 +87,8 @@ class Record:
             iou: np.unpackbits(_unpack(boxes["hits"][str(iou)], np.uint8), count=boxes["n_boxes"]).astype(bool)
             for iou in IOUS
         }
-        return cls(meter=Counted(scores, hits, boxes["n_truth"], boxes["n_frames"]), **plain)
+        protocol = boxes.get("protocol", "strict")
+        return cls(meter=Counted(scores, hits, boxes["n_truth"], boxes["n_frames"], protocol), **plain)
 
 
 class Store:
