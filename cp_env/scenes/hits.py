@@ -7,7 +7,7 @@ from jaxtyping import Float, Int
 
 MARGIN = 0.05  # m; a box may be this much too tight
 CLEARANCE = 0.1  # m; below it, inside a box, lies the road
-_CELL = 2.0  # m; of the raster that sorts out the returns far from any box
+_CELL = 2.0  # m; of the raster by which points are looked up
 
 
 def count_returns(
@@ -24,32 +24,46 @@ def count_returns(
         size: length, width, height; m.
         yaw: heading; rad, counter-clockwise.
     """
-    hits = np.zeros(len(centre), dtype=np.int64)
     rows = np.flatnonzero(~np.isnan(centre).any(axis=1))
     if not len(rows) or not len(points):
-        return hits
-    near = points[_near(points, centre[rows, :2], np.hypot(size[rows, 0], size[rows, 1]) / 2 + MARGIN)]
-    offset = near[None] - centre[rows, None].astype(points.dtype)
-    cos, sin = np.cos(yaw[rows, None]), np.sin(yaw[rows, None])
-    along = np.abs(cos * offset[..., 0] + sin * offset[..., 1])
-    across = np.abs(cos * offset[..., 1] - sin * offset[..., 0])
-    half = size[rows, None] / 2
-    inside = (along <= half[..., 0] + MARGIN) & (across <= half[..., 1] + MARGIN)
-    inside &= (offset[..., 2] <= half[..., 2] + MARGIN) & (offset[..., 2] >= CLEARANCE - half[..., 2])
-    hits[rows] = inside.sum(axis=1)
-    return hits
+        return np.zeros(len(centre), dtype=np.int64)
+    radius = np.hypot(size[rows, 0], size[rows, 1]) / 2 + MARGIN
+    point, box = _pairs(points[:, :2], centre[rows, :2], radius)
+    row = rows[box]
+    dx, dy, dz = (points[point] - centre[row].astype(points.dtype)).T
+    cos, sin = np.cos(yaw)[row], np.sin(yaw)[row]
+    half = (size / 2)[row]
+    inside = (np.abs(cos * dx + sin * dy) <= half[:, 0] + MARGIN) & (np.abs(cos * dy - sin * dx) <= half[:, 1] + MARGIN)
+    inside &= (dz <= half[:, 2] + MARGIN) & (dz >= CLEARANCE - half[:, 2])
+    return np.bincount(row[inside], minlength=len(centre))
 
 
-def _near(
-    points: Float[np.ndarray, "P 3"], place: Float[np.ndarray, "R 2"], radius: Float[np.ndarray, " R"]
-) -> Int[np.ndarray, " Q"]:
-    """The points that share a raster cell with the square round any box."""
-    low = points[:, :2].min(axis=0)
-    shape = np.floor((points[:, :2].max(axis=0) - low) / _CELL).astype(int) + 1
-    first = np.floor((place - radius[:, None] - low) / _CELL).astype(int).clip(0)
-    last = np.floor((place + radius[:, None] - low) / _CELL).astype(int).clip(-1)
-    marked = np.zeros(shape, dtype=bool)
-    for (x0, y0), (x1, y1) in zip(first.tolist(), last.tolist(), strict=True):
-        marked[x0 : x1 + 1, y0 : y1 + 1] = True
-    cell = ((points[:, :2] - low) * (1 / _CELL)).astype(np.int32)
-    return np.flatnonzero(marked[cell[:, 0], cell[:, 1]])
+def _pairs(
+    points: Float[np.ndarray, "P 2"], place: Float[np.ndarray, "R 2"], radius: Float[np.ndarray, " R"]
+) -> tuple[Int[np.ndarray, " Q"], Int[np.ndarray, " Q"]]:
+    """Every point with every box whose bounding square shares a raster cell with it: numbers of both.
+
+    Points are sorted by cell, row by row, so that what a square covers of a row of cells is one run of points.
+    """
+    low = points.min(axis=0)
+    cell = ((points - low) / _CELL).astype(np.int64)
+    width, height = cell.max(axis=0) + 1
+    number = cell[:, 1] * width + cell[:, 0]
+    order = np.argsort(number, kind="stable")
+    begins = np.concatenate([[0], np.cumsum(np.bincount(number, minlength=width * height))])
+    first = np.floor((place - radius[:, None] - low) / _CELL).astype(np.int64)
+    last = np.floor((place + radius[:, None] - low) / _CELL).astype(np.int64)
+    first, last = first.clip(0), np.minimum(last, (width - 1, height - 1))
+    extent = (last - first + 1).clip(0)
+    strips = np.where(extent[:, 0] > 0, extent[:, 1], 0)
+    box, line = _runs(strips)
+    start = (first[box, 1] + line) * width
+    begin = begins[start + first[box, 0]]
+    strip, offset = _runs(begins[start + last[box, 0] + 1] - begin)
+    return order[begin[strip] + offset], box[strip]
+
+
+def _runs(lengths: Int[np.ndarray, " N"]) -> tuple[Int[np.ndarray, " Q"], Int[np.ndarray, " Q"]]:
+    """For runs of these lengths, one after the other: the number of the run, and the place in it."""
+    run = np.repeat(np.arange(len(lengths)), lengths)
+    return run, np.arange(len(run)) - np.repeat(np.cumsum(lengths) - lengths, lengths)
