@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from cp_env.game import Game
 from cp_env.joint import Observation, join, joint_space, split, world
-from cp_env.parallel import RENDER_FPS, RENDER_MODES, check_render_mode, raise_failure
-from cp_env.window import Window
+from cp_env.parallel import raise_failure
+from cp_env.pictured import RENDER_FPS, RENDER_MODES, Pictured
 from defenders.protocol import Defender
 
 
-class JointAdversaryEnv(Env[Any, NDArray[Any]]):
+class JointAdversaryEnv(Pictured, Env[Any, NDArray[Any]]):
     """One world, one adversary, who drives all its liars and is paid the mean of their rewards.
 
     A liar's action and observation lie end to end along their first axis: actions (A,) of k liars make one (k·A,).
@@ -35,13 +35,11 @@ class JointAdversaryEnv(Env[Any, NDArray[Any]]):
         render_mode: str | None = None,
         **knobs: Any,
     ) -> None:
-        self.render_mode = check_render_mode(render_mode)
-        self.game = Game(1, defender, observation=observation, slots="adversaries", **knobs)
+        self.show(Game(1, defender, observation=observation, slots="adversaries", **knobs), render_mode)
         self.n_slots = len(self.game.slots)
         self.observation_space = joint_space(self.game.single_observation_space, self.n_slots)
         self.action_space = joint_space(self.game.single_action_space, self.n_slots)
         self._running = False
-        self._window = Window("collaborative perception", RENDER_FPS)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -71,18 +69,3 @@ class JointAdversaryEnv(Env[Any, NDArray[Any]]):
         self._follow()
         info = {key: values[0].copy() for key, values in infos.items()}
         return world(join(observations), 0), float(reward[0].mean(dtype=np.float64)), False, over, info
-
-    def render(self) -> NDArray[np.uint8] | None:
-        """The picture (h, w, 3) of this frame for "rgb_array"; for "human" the window is brought up to date."""
-        if self.render_mode == "rgb_array":
-            return self.game.render(0)
-        self._follow()
-        return None
-
-    def close(self) -> None:
-        """Close the window. Closing twice is no error."""
-        self._window.close()
-
-    def _follow(self) -> None:
-        if self.render_mode == "human":
-            self._window.show(self.game.render(0))

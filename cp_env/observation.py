@@ -30,6 +30,9 @@ POOL = 4
 SCALE = 64.0
 """Metres that count as 1 in a context."""
 
+LARGEST = float(np.finfo(np.float16).max)
+"""No feature is larger: maps are kept in half precision."""
+
 MOST_VERIFICATIONS = 8.0
 """Verifications that count as 1 in a context: PRBI's most at n = 5."""
 
@@ -52,7 +55,7 @@ class Observer:
         context = gymnasium.spaces.Box(-1.0, 1.0, (self.context_size,), np.float32)
         self.space: gymnasium.spaces.Box | gymnasium.spaces.Dict = (
             gymnasium.spaces.Dict(
-                features=gymnasium.spaces.Box(-np.inf, np.inf, self._shape, np.float32), context=context
+                features=gymnasium.spaces.Box(-LARGEST, LARGEST, self._shape, np.float32), context=context
             )
             if settings.observation == "features"
             else gymnasium.spaces.Box(-1.0, 1.0, (self.context_size + POOL**2,), np.float32)

@@ -16,22 +16,12 @@ from pettingzoo import ParallelEnv
 
 from cp_env.game import Game
 from cp_env.joint import Observation, world
+from cp_env.observation import LARGEST
+from cp_env.pictured import RENDER_FPS, RENDER_MODES, Pictured
 from cp_env.verification import DefenderError
-from cp_env.window import Window
 from defenders.protocol import Defender
 
-RENDER_MODES = ("human", "rgb_array")
-RENDER_FPS = 5  # as many frames as the recordings have a second
-LARGEST = float(np.finfo(np.float16).max)  # maps are kept in half precision
-
 Infos = dict[str, dict[str, int | float]]
-
-
-def check_render_mode(mode: str | None) -> str | None:
-    """The mode itself. ValueError if there is no such mode."""
-    if mode is not None and mode not in RENDER_MODES:
-        raise ValueError(f"render_mode must be None or one of {list(RENDER_MODES)}, got {mode!r}")
-    return mode
 
 
 def raise_failure(game: Game) -> None:
@@ -41,7 +31,7 @@ def raise_failure(game: Game) -> None:
         raise DefenderError(error)
 
 
-class CollaborativePerceptionEnv(ParallelEnv[str, Observation, NDArray[Any]]):
+class CollaborativePerceptionEnv(Pictured, ParallelEnv[str, Observation, NDArray[Any]]):
     """Agents are slots: `agents` is `possible_agents` from reset to the last frame, and empty when the episode is over.
 
     `cp_env.parallel_env` documents the knobs. `reset(options=...)` hands its options to `Game.reset`.
@@ -61,8 +51,7 @@ class CollaborativePerceptionEnv(ParallelEnv[str, Observation, NDArray[Any]]):
         render_mode: str | None = None,
         **knobs: Any,
     ) -> None:
-        self.render_mode = check_render_mode(render_mode)
-        self.game = Game(1, defender, **knobs)
+        self.show(Game(1, defender, **knobs), render_mode)
         self.possible_agents: list[str] = list(self.game.slots)
         self.agents: list[str] = []
         detector = self.game.world.detector
@@ -71,7 +60,6 @@ class CollaborativePerceptionEnv(ParallelEnv[str, Observation, NDArray[Any]]):
         names = self.possible_agents
         self._observation_spaces = {name: copy.deepcopy(self.game.single_observation_space) for name in names}
         self._action_spaces = {name: copy.deepcopy(self.game.single_action_space) for name in names}
-        self._window = Window("collaborative perception", RENDER_FPS)
 
     def observation_space(self, agent: str) -> Space[Any]:
         """What this agent sees: always the same object. ValueError for an unknown name."""
@@ -117,21 +105,6 @@ class CollaborativePerceptionEnv(ParallelEnv[str, Observation, NDArray[Any]]):
     def state(self) -> Float[np.ndarray, "N C H W"]:
         """Every vehicle's encoded map in its own grid frame, for centralised critics and joint attackers."""
         return self.game.state(0).copy()
-
-    def render(self) -> NDArray[np.uint8] | None:
-        """The picture (h, w, 3) of this frame for "rgb_array"; for "human" the window is brought up to date."""
-        if self.render_mode == "rgb_array":
-            return self.game.render(0)
-        self._follow()
-        return None
-
-    def close(self) -> None:
-        """Close the window. Closing twice is no error."""
-        self._window.close()
-
-    def _follow(self) -> None:
-        if self.render_mode == "human":
-            self._window.show(self.game.render(0))
 
     def _known(self, agent: str) -> str:
         if agent not in self._action_spaces:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-FUSIONS = ("mean",)
+FUSIONS = ("mean", "max", "sum", "v2vnet", "disconet")
 NORMS = ("linf", "l2")
 ACTIONS = ("guided", "basis", "full")
 OBSERVATIONS = ("features", "compact")
@@ -32,7 +32,7 @@ class Settings:
 
     n_vehicles: int = 5
     n_attackers: int = 2
-    attackers: tuple[int, ...] | None = None
+    attackers: Sequence[int] | None = None
     fusion: str = "mean"
     action: str = "guided"
     observation: str = "features"
@@ -65,6 +65,7 @@ class Settings:
         if self.attackers is None:
             self._check_count()
         else:
+            object.__setattr__(self, "attackers", tuple(int(i) for i in self.attackers))  # any sequence will do
             self._check_set(self.attackers)
 
     def _check_count(self) -> None:
@@ -74,7 +75,7 @@ class Settings:
                 "at least one vehicle must be honest"
             )
 
-    def _check_set(self, attackers: tuple[int, ...]) -> None:
+    def _check_set(self, attackers: Sequence[int]) -> None:
         wrong = [i for i in attackers if not 0 <= i < self.n_maps]
         if wrong or len(set(attackers)) != len(attackers):
             raise ValueError(

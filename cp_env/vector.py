@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from cp_env.game import Game
 from cp_env.joint import Observation, join, joint_space, split, world
-from cp_env.parallel import RENDER_FPS, RENDER_MODES, check_render_mode
+from cp_env.pictured import RENDER_FPS, RENDER_MODES, check_render_mode
 from cp_env.window import Window
 from defenders.protocol import Defender
 

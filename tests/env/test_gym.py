@@ -35,6 +35,16 @@ def test_gymnasiums_check(make: Any, action: str) -> None:
     check_env(make(action=action, render_mode="rgb_array").unwrapped)
 
 
+def test_gymnasiums_check_of_feature_maps(make: Any) -> None:
+    check_env(make(observation="features", render_mode="rgb_array").unwrapped)
+
+
+def test_liars_may_be_fixed_by_any_sequence(make: Any) -> None:
+    for liars in ([1, 3], (1, 3), range(1, 4, 2)):
+        _, info = make(attackers=liars).reset(seed=0)
+        assert info["vehicle"].tolist() == [1, 3]
+
+
 @pytest.mark.parametrize("action", ["guided", "basis"])
 @pytest.mark.parametrize("knowledge", ["black-box", "white-box"])
 def test_stable_baselines_check(make: Any, action: str, knowledge: str) -> None:
