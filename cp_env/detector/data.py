@@ -1,14 +1,15 @@
 """Training data: sweeps rasterised once and kept packed on disk, and random views drawn from them.
 
-A scene takes two files in the cache: its packed grids and the rest. They are renamed into place when they are whole, so
-that a run killed while preparing goes on with the scene it was at.
+A scene takes two files in the cache: its packed grids and the rest; and one more for every encoder whose maps of them
+are kept. They are renamed into place when they are whole, so that a run killed while preparing goes on with the scene
+it was at.
 """
 
 from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from cp_env.detector import bev
+from cp_env.detector.detector import Detector
 from cp_env.detector.loss import Targets, stack, targets
 from cp_env.geometry import LATTICE, grid_origin
 from cp_env.types import Scene, SceneSource
@@ -35,6 +37,7 @@ class Footage:
     hits: Int[np.ndarray, "F A M"]  # returns of each agent from each vehicle
     boxes: Float[np.ndarray, "F M 5"]  # in the world; NaN where absent
     connected: Int[np.ndarray, " V"]  # rows of the connected vehicles
+    maps: Float[np.ndarray, "F A C H W"] | None = None  # what a fixed encoder makes of the grids; a memory map
 
     @property
     def n_frames(self) -> int:
@@ -43,9 +46,13 @@ class Footage:
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """Views of E random egos on S sweeps; `agent[e, n]` is the sweep of ego e's map n (any, if n is in no group)."""
+    """Views of E random egos on S sweeps; `agent[e, n]` is the sweep of ego e's map n (any, if n is in no group).
+
+    The ego's own map is number 0.
+    """
 
     occupancy: UInt8[Tensor, "S Z R R"]
+    maps: Float[Tensor, "S C H W"] | None  # of the same sweeps, where the footage has them
     agent: Int[Tensor, "E N"]
     ego_T_sender: Float[Tensor, "E N 3"]
     world: Int[Tensor, " B"]
@@ -96,6 +103,30 @@ def _record(source: SceneSource, scene: Scene, grids: Path, rest: Path, stride: 
     partial[1].rename(rest)
 
 
+@torch.no_grad()
+def encode(footage: Sequence[Footage], detector: Detector, folder: Path) -> list[Footage]:
+    """The footage with the maps that the detector's encoder makes of it, half precision, from `folder` where they are.
+
+    The name of the folder must tell encoders and footage apart. The detector is put into evaluation mode.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    detector.eval()
+    return [
+        replace(film, maps=_encoded(film, detector, folder / f"{number:03d}.npy"))
+        for number, film in enumerate(tqdm(footage, desc="maps", unit="scene"))
+    ]
+
+
+def _encoded(film: Footage, detector: Detector, path: Path) -> Float[np.ndarray, "F A C H W"]:
+    if not path.exists():
+        maps = [detector.encode_grids(bev.unpack(frame)).half().cpu().numpy() for frame in film.packed]
+        partial = path.with_suffix(".part.npy")
+        np.save(partial, np.stack(maps))
+        partial.rename(path)
+    maps_on_disk: np.ndarray = np.load(path, mmap_mode="r", allow_pickle=False)
+    return maps_on_disk
+
+
 def draw(
     footage: Sequence[Footage],
     rng: np.random.Generator,
@@ -110,9 +141,11 @@ def draw(
     """A random batch of `frames` frames, at most `agents` agents in each, `egos` of them the centre of `views` groups.
 
     The first group is everyone; the others have a random size and random members, one of them never the ego. A frame is
-    turned or mirrored at random, exactly: sensor grids, positions and boxes together.
+    turned or mirrored at random, exactly: sensor grids, positions and boxes together. Footage that comes with maps is
+    left as it is, for an encoder's map of a mirrored grid is not the mirrored map.
     """
     occupancy: list[Tensor] = []
+    maps: list[Tensor] = []
     agent: list[Int[np.ndarray, " N"]] = []
     poses: list[Float[np.ndarray, "N 3"]] = []
     groups: list[Bool[np.ndarray, "B N"]] = []
@@ -122,8 +155,10 @@ def draw(
         frame = int(rng.integers(film.n_frames))
         present = _cast(film, rng, agents)
         first, spare = sum(len(grids) for grids in occupancy), agents - len(present)
-        mirror = rng.random(3) < 0.5
+        mirror = (rng.random(3) < 0.5) & (film.maps is None)
         occupancy.append(_mirror_grids(bev.unpack(film.packed[frame, present]), mirror))
+        if film.maps is not None:
+            maps.append(torch.from_numpy(film.maps[frame, present]).float())
         vehicles = np.flatnonzero(present < len(film.connected))
         for ego in rng.permutation(vehicles)[:egos].tolist():
             members = _groups(rng, len(present), ego, views)
@@ -131,11 +166,13 @@ def draw(
             boxes = _mirror_boxes(boxes, mirror)
             wanted.append(targets(torch.from_numpy(boxes), torch.from_numpy(visible), size, extent))
             offset = film.origin[frame, present] - film.origin[frame, present[ego]]
-            poses.append(np.pad(_mirror_points(offset, mirror), ((0, spare), (0, 1))))
-            agent.append(np.pad(first + np.arange(len(present)), (0, spare), constant_values=first))
-            groups.append(np.pad(members, ((0, 0), (0, spare))))
+            order = np.argsort(np.arange(len(present)) != ego, kind="stable")  # the ego first
+            poses.append(np.pad(_mirror_points(offset[order], mirror), ((0, spare), (0, 1))))
+            agent.append(np.pad(first + order, (0, spare), constant_values=first))
+            groups.append(np.pad(members[:, order], ((0, 0), (0, spare))))
     return Batch(
         torch.cat(occupancy),
+        torch.cat(maps) if maps else None,
         torch.from_numpy(np.stack(agent)),
         torch.from_numpy(np.stack(poses)).float(),
         torch.from_numpy(np.repeat(np.arange(len(groups)), [len(members) for members in groups])),

@@ -12,13 +12,13 @@ from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor, nn
 
 from cp_env.boxes import nms_batch
-from cp_env.detector import fusion, warp
+from cp_env.detector import warp
 from cp_env.detector.bev import BEV, rasterise
 from cp_env.detector.decoder import Decoder, Dense, peaks
 from cp_env.detector.encoder import Conv, Encoder
+from cp_env.detector.fusion import FUSIONS
 from cp_env.types import Detections, Sweep
 
-FUSIONS = {"mean": fusion.mean}
 MOST_BOXES = 80
 OWN_RADIUS = 1.5  # m; nothing else's centre can be this close to the ego's
 NMS_IOU = 0.15  # two vehicles cannot overlap, two boxes estimated of neighbours may a little
@@ -39,9 +39,10 @@ class Detector(nn.Module):
     def __init__(self, *, fusion: str = "mean", channels: int = 128, threshold: float = 0.3) -> None:
         super().__init__()
         if fusion not in FUSIONS:
-            raise ValueError(f"fusion must be one of {sorted(FUSIONS)}, not {fusion!r}")
+            raise ValueError(f"fusion must be one of {', '.join(FUSIONS)}, not {fusion!r}")
         self.fusion, self.channels, self.threshold = fusion, channels, threshold
         self.encoder = Encoder(BEV.slices, channels)
+        self.fuser = FUSIONS[fusion](channels)
         self.decoder = Decoder(channels)
 
     def encode(self, sweeps: Sequence[Sweep]) -> Float[Tensor, "B C H W"]:
@@ -68,11 +69,13 @@ class Detector(nn.Module):
         world: Int[Tensor, " B"],
         groups: Bool[Tensor, "B N"],
     ) -> Float[Tensor, "B C H W"]:
-        """One fused map for each row (world, members). A group may lack the ego, may hold one vehicle, but not none."""
+        """One fused map for each row (world, members); vehicle 0 is the ego. A group may lack it, may hold one vehicle,
+        but not none: ValueError."""
         if not bool(groups.any(dim=1).all()):
             empty = (~groups.any(dim=1)).nonzero()[:, 0].tolist()
             raise ValueError(f"a group holds at least one vehicle: rows {empty} of groups hold none; leave them out")
-        return FUSIONS[self.fusion](received, coverage, world, groups)
+        fused: Tensor = self.fuser(received, coverage, world, groups)
+        return fused
 
     def decode(self, fused: Float[Tensor, "B C H W"]) -> Dense:
         """Scores and boxes for every cell of 1 m."""

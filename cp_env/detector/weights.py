@@ -11,7 +11,8 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 
 from cp_env.detector.bev import BEV
-from cp_env.detector.detector import FUSIONS, Detector
+from cp_env.detector.detector import Detector
+from cp_env.detector.fusion import FUSIONS
 
 FOLDER = Path(__file__).parent / "weights"
 FORMAT = "cp_env detector 1"
@@ -31,7 +32,7 @@ def load_detector(name: str = "mean", device: str = "cpu") -> Detector:
         ValueError: unknown name, or its file is missing, broken, or made for another grid or architecture.
     """
     if name not in FUSIONS:
-        raise ValueError(f"unknown detector {name!r}; known: {', '.join(sorted(FUSIONS))}")
+        raise ValueError(f"unknown detector {name!r}; known: {', '.join(FUSIONS)}")
     return read_detector(FOLDER / f"{name}.safetensors").to(device).freeze()
 
 
