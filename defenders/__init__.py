@@ -8,6 +8,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from importlib import import_module
 from typing import Any
 
 from defenders.bounds import EgoOnly, NoDefence, Oracle
@@ -54,15 +55,15 @@ def names() -> tuple[str, ...]:
 def make(defender: str | Defender | Callable[..., Defender], **knobs: Any) -> Defender:
     """A defender from its name or from a class or function that builds one, with its knobs; or the object itself.
 
+    A name is one of `names()`, or says where to import a class or function of yours: "package.module.Class".
+
     Raises ValueError for an unknown name, for knobs the defender has not, and for knobs beside a finished object.
     """
     if isinstance(defender, Defender):
         if knobs:
             raise ValueError(f"a finished defender takes no knobs, got {sorted(knobs)}; pass its class or its name")
         return defender
-    if isinstance(defender, str) and defender not in REGISTRY:
-        raise ValueError(f"unknown defender {defender!r}; known are {', '.join(names())}")
-    factory = REGISTRY[defender] if isinstance(defender, str) else defender
+    factory = _named(defender) if isinstance(defender, str) else defender
     if not callable(factory):
         raise ValueError(f"a defender is a name, a Defender, or what builds one; got {type(defender).__name__}")
     try:
@@ -72,3 +73,18 @@ def make(defender: str | Defender | Callable[..., Defender], **knobs: Any) -> De
     if not isinstance(made, Defender):
         raise ValueError(f"{defender!r} built a {type(made).__name__}; it must build a defenders.Defender")
     return made
+
+
+def _named(name: str) -> Callable[..., Defender]:
+    if name in REGISTRY:
+        return REGISTRY[name]
+    module, _, attribute = name.rpartition(".")
+    if not module:
+        raise ValueError(f"unknown defender {name!r}; known are {', '.join(names())}, or package.module.Class of yours")
+    try:
+        factory: Callable[..., Defender] = getattr(import_module(module), attribute)
+    except (ImportError, AttributeError) as error:
+        raise ValueError(
+            f"no defender {name!r} ({error}): name one of {', '.join(names())}, or a class that can be imported"
+        ) from error
+    return factory

@@ -132,5 +132,16 @@ def test_the_readme_s_python_runs(capsys: pytest.CaptureFixture[str]) -> None:
         env.step({agent: env.action_space(agent).high for agent in env.agents})  # type: ignore[attr-defined]
 
 
+@pytest.mark.parametrize("page", ["docs/write-your-own-defender.md"])
+def test_the_python_of_a_page_runs(page: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Its blocks, in order, on a toy scene; a page's own assertions count."""
+    from tests.toy import ToySource
+
+    names: dict[str, object] = {"source": ToySource(n_frames=6)}
+    for block in python_blocks(page):
+        exec(block.replace('scenes="town/test"', "scenes=source"), names)
+    assert capsys.readouterr().out
+
+
 def test_the_changelog_tells_of_this_version() -> None:
     assert f"## [{PROJECT['project']['version']}]" in (ROOT / "CHANGELOG.md").read_text()

@@ -6,7 +6,6 @@ import time
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
-from importlib import import_module
 from typing import Any, runtime_checkable
 from typing import Protocol as Interface
 
@@ -111,17 +110,7 @@ def open_defender(spec: str) -> Defender:
     Raises ValueError for an unknown name, a class that cannot be imported, and knobs it has not.
     """
     name, knobs = parse(spec)
-    if "." not in name:
-        return defenders.make(name, **knobs)
-    module, _, attribute = name.rpartition(".")
-    try:
-        factory = getattr(import_module(module), attribute)
-    except (ImportError, AttributeError) as error:
-        known = ", ".join(defenders.names())
-        raise ValueError(
-            f"no defender {name!r} ({error}): name one of {known}, or a class that can be imported"
-        ) from error
-    return defenders.make(factory, **knobs)
+    return defenders.make(name, **knobs)
 
 
 def play(
