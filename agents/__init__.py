@@ -28,6 +28,12 @@ def _bim(**knobs: Any) -> Attacker:
     return _ascent(random_start=False, **knobs)
 
 
+def _cw(**knobs: Any) -> Attacker:
+    from agents.carlini_wagner import CarliniWagner
+
+    return CarliniWagner(**knobs)
+
+
 def _noise(**knobs: Any) -> Attacker:
     from agents.ascent import Noise
 
@@ -40,7 +46,7 @@ def _none(**knobs: Any) -> Attacker:
     return Silence(**knobs)
 
 
-_ATTACKERS: dict[str, Callable[..., Attacker]] = {"none": _none, "noise": _noise, "pgd": _pgd, "bim": _bim}
+_ATTACKERS: dict[str, Callable[..., Attacker]] = {"none": _none, "noise": _noise, "pgd": _pgd, "bim": _bim, "cw": _cw}
 
 
 def names() -> tuple[str, ...]:

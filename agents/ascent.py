@@ -74,17 +74,18 @@ class Ascent:
         liars = groups.gather(1, situation.attackers)
         worlds = torch.nonzero(_due(situation, self.schedule) & liars.any(1)).flatten()
         if len(worlds):
-            ball = make_ball(situation.norm)
-            start = self._start(worlds, delta[worlds], ball, situation.budget) * liars[worlds, :, None, None, None]
-            delta[worlds], _ = ascend(
-                attack_loss(situation, worlds, groups[worlds], self.objective),
-                start,
-                ball=ball,
-                budget=situation.budget,
-                steps=self.steps,
-                step_size=self.step_size,
-            )
+            start = self._start(worlds, delta[worlds], make_ball(situation.norm), situation.budget)
+            start = start * liars[worlds, :, None, None, None]
+            loss = attack_loss(situation, worlds, groups[worlds], self.objective)
+            delta[worlds] = self._search(loss, start, situation.norm, situation.budget)
         return delta
+
+    def _search(
+        self, loss: Loss, start: Float[Tensor, "B k C H W"], norm: str, budget: float
+    ) -> Float[Tensor, "B k C H W"]:
+        """The worst δ found for each world."""
+        best, _ = ascend(loss, start, ball=make_ball(norm), budget=budget, steps=self.steps, step_size=self.step_size)
+        return best
 
     def _start(self, worlds: Tensor, zero: Float[Tensor, "B k C H W"], ball: Ball, budget: float) -> Tensor:
         if not self.random_start:
@@ -128,7 +129,7 @@ def attack_loss(situation: Situation, worlds: Int[Tensor, " B"], groups: Bool[Te
     view that it would have if nobody lied."""
     liars = situation.attackers[worlds]
     pose = torch.take_along_dim(situation.ego_T_sender[worlds], liars[..., None], 1)
-    perceive = lies(situation.detector, situation.received[worlds], situation.coverage[worlds], groups, liars, pose)
+    perceive = lies(situation.eyes(worlds), situation.received[worlds], situation.coverage[worlds], groups, liars, pose)
     clean = Dense(situation.clean.logits[worlds], situation.clean.boxes[worlds])
     return lambda delta: objective(perceive(delta), clean)
 

@@ -165,7 +165,7 @@ def test_the_best_iterate_is_kept() -> None:
 
 
 def test_bad_input_says_what_to_do() -> None:
-    with pytest.raises(ValueError, match="known: none, noise, pgd, bim"):
+    with pytest.raises(ValueError, match="known: none, noise, pgd, bim, cw"):
         agents.make("fgsm")
     with pytest.raises(ValueError, match="knobs"):
         agents.make(Ascent(), steps=3)

@@ -1,0 +1,85 @@
+"""Carlini and Wagner's attack: its optimum where it can be written down, and what its two terms trade."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+import agents
+from agents.ascent import attack_loss
+from agents.carlini_wagner import CarliniWagner
+from agents.objective import Objective
+from tests.agents import situations
+
+MODEL = situations.detector()
+
+
+def _act(situation: Any, **knobs: Any) -> torch.Tensor:
+    attacker = agents.make("cw", **knobs)
+    attacker.reset(len(situation.active), np.random.default_rng(0))
+    return attacker.act(situation)
+
+
+def _loss(situation: Any, delta: torch.Tensor) -> torch.Tensor:
+    groups = torch.ones_like(situation.fused)
+    return attack_loss(situation, torch.arange(len(delta)), groups, Objective())(delta)
+
+
+@pytest.mark.parametrize("norm", ["linf", "l2"])
+def test_the_optimum_of_a_linear_loss(norm: str) -> None:
+    """min ‖δ‖² / M - c g·δ has δ = c g M / 2, M the largest ‖δ‖² in the ball, as long as that lies inside."""
+    budget, c = 0.3, 2.0
+    slope = torch.tensor([[0.5, -1.0, 0.0, 0.25]]).reshape(1, 1, 1, 2, 2)
+    largest = budget**2 * (4 if norm == "linf" else 1)
+    slope = slope / slope.abs().sum() / (1 if norm == "linf" else 2)
+    expected = c * slope * largest / 2
+    assert (expected.norm() if norm == "l2" else expected.abs().max()) < budget
+    attack = CarliniWagner(steps=250, step_size=0.005, c=c)
+    found = attack._search(lambda delta: (slope * delta).sum((1, 2, 3, 4)), torch.zeros_like(slope), norm, budget)
+    torch.testing.assert_close(found, expected, rtol=0.02, atol=1e-4)
+
+
+@pytest.mark.parametrize("norm", ["linf", "l2"])
+def test_whatever_pulls_it_stays_inside_the_ball(norm: str) -> None:
+    attack = CarliniWagner(steps=200, step_size=0.1, c=1e6)
+    start = torch.zeros(1, 2, 1, 2, 2)
+    found = attack._search(lambda delta: delta.sum((1, 2, 3, 4)), start, norm, 0.3)
+    length = found.abs().amax() if norm == "linf" else found.flatten(-3).norm(dim=-1).amax()
+    assert 0.29 < length <= 0.3
+
+
+def test_a_larger_constant_buys_damage_with_size() -> None:
+    situation = situations.situation(MODEL, n_worlds=4)
+    found = [_act(situation, c=c) for c in (1e-3, 1e-1, 10.0)]
+    size = [delta.square().mean().item() for delta in found]
+    damage = [_loss(situation, delta).mean().item() for delta in found]
+    assert size == sorted(size) and size[2] > 1.5 * size[0]
+    assert damage == sorted(damage) and damage[2] > damage[0]
+
+
+def test_it_starts_at_zero_and_does_damage() -> None:
+    situation = situations.situation(MODEL, n_worlds=3)
+    assert not _act(situation, steps=0).any()
+    noise = agents.make("noise")
+    noise.reset(3, np.random.default_rng(0))
+    assert (_loss(situation, _act(situation)) > 5 * _loss(situation, noise.act(situation))).all()
+    assert not _act(situations.situation(MODEL, budget=0.0)).any()
+
+
+def test_it_is_smaller_than_bim_at_no_less_than_most_of_its_damage() -> None:
+    situation = situations.situation(MODEL, n_worlds=4)
+    bim = agents.make("bim")
+    bim.reset(4, np.random.default_rng(0))
+    theirs, ours = bim.act(situation), _act(situation)
+    assert ours.square().mean() < theirs.square().mean()
+    assert _loss(situation, ours).mean() > 0.5 * _loss(situation, theirs).mean()
+
+
+def test_a_constant_that_buys_nothing_is_refused() -> None:
+    with pytest.raises(ValueError, match="must be positive, got c=0"):
+        agents.make("cw", c=0)
+    with pytest.raises(TypeError, match="random_start"):
+        agents.make("cw", random_start=True)
