@@ -15,6 +15,7 @@ def count_returns(
     centre: Float[np.ndarray, "M 3"],
     size: Float[np.ndarray, "M 3"],
     yaw: Float[np.ndarray, " M"],
+    margin: float = MARGIN,
 ) -> Int[np.ndarray, " M"]:
     """Points inside each box; boxes are upright, points and boxes in one frame, a box with NaN holds none.
 
@@ -23,18 +24,19 @@ def count_returns(
         centre: x, y, z of the middle of each box; m.
         size: length, width, height; m.
         yaw: heading; rad, counter-clockwise.
+        margin: m, by which a box may be too tight.
     """
     rows = np.flatnonzero(~np.isnan(centre).any(axis=1))
     if not len(rows) or not len(points):
         return np.zeros(len(centre), dtype=np.int64)
-    radius = np.hypot(size[rows, 0], size[rows, 1]) / 2 + MARGIN
+    radius = np.hypot(size[rows, 0], size[rows, 1]) / 2 + margin
     point, box = _pairs(points[:, :2], centre[rows, :2], radius)
     row = rows[box]
     dx, dy, dz = (points[point] - centre[row].astype(points.dtype)).T
     cos, sin = np.cos(yaw)[row], np.sin(yaw)[row]
     half = (size / 2)[row]
-    inside = (np.abs(cos * dx + sin * dy) <= half[:, 0] + MARGIN) & (np.abs(cos * dy - sin * dx) <= half[:, 1] + MARGIN)
-    inside &= (dz <= half[:, 2] + MARGIN) & (dz >= CLEARANCE - half[:, 2])
+    inside = (np.abs(cos * dx + sin * dy) <= half[:, 0] + margin) & (np.abs(cos * dy - sin * dx) <= half[:, 1] + margin)
+    inside &= (dz <= half[:, 2] + margin) & (dz >= CLEARANCE - half[:, 2])
     return np.bincount(row[inside], minlength=len(centre))
 
 

@@ -43,18 +43,18 @@ def present(rows: Rows) -> Int[np.ndarray, " A"]:
 def stage(index: Index, place: int, categories: tuple[str, ...], rsu: bool) -> Stage:
     """A scene of an index."""
     rows, entry = index.rows(place), index.entries[place]
-    agents = present(rows)
+    agents = present(rows).tolist()
     tracks, wanted = _tracks(rows, [name.startswith(categories) for name in index.categories])
     carriers = [_carrier(tracks, rows.world_T_sensor[:, agent, :, 3]) for agent in agents]
     boxes = np.concatenate([tracks, *(_bare(rows, agent) for agent in agents)], axis=1)
     row = [len(tracks[0]) + k if carrier is None else carrier for k, carrier in enumerate(carriers)]
     keep = np.union1d(np.flatnonzero(wanted), row)
     boxes, connected = boxes[:, keep], np.searchsorted(keep, row)
-    ground = _ground(rows, boxes, dict(zip(agents.tolist(), connected.tolist(), strict=True)))
+    ground = _ground(rows, boxes, dict(zip(agents, connected.tolist(), strict=True)))
     height = rows.world_T_sensor[..., 2, 3] - ground
     origin = {
         agent: np.concatenate([boxes[:, own, :2], height[:, agent, None]], axis=1)
-        for agent, own in zip(agents.tolist(), connected.tolist(), strict=True)
+        for agent, own in zip(agents, connected.tolist(), strict=True)
     }
     mast = None
     if rsu and not np.isnan(height[:, RSU]).any():
