@@ -9,7 +9,7 @@ the decoder's features. The teacher is needed for training alone and does not sh
 from __future__ import annotations
 
 import torch
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
@@ -19,9 +19,9 @@ from cp_env.detector.detector import Detector
 from cp_env.detector.warp import warp
 
 
-def early_fusion(batch: Batch, extent: float) -> UInt8[Tensor, "B Z R R"]:
+def early_fusion(batch: Batch, extent: float) -> Float[Tensor, "B Z R R"]:
     """One grid a view: a cell of the ego's grid is taken if any member of the group has a return there."""
-    sent = warp(batch.occupancy[batch.agent], batch.ego_T_sender, extent)  # [E, N, Z, R, R]
+    sent = warp(batch.occupancy[batch.agent].float(), batch.ego_T_sender, extent)  # [E, N, Z, R, R]
     rows = zip(batch.world.tolist(), batch.groups, strict=True)
     return torch.stack([sent[e, group].amax(dim=0) for e, group in rows])
 

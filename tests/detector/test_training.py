@@ -9,9 +9,12 @@ import numpy as np
 import pytest
 import torch
 
-from cp_env.detector import bev, data
+from cp_env.detector import Detector, bev, data
 from cp_env.detector.data import Footage, draw, prepare
-from cp_env.detector.train import Args, train
+from cp_env.detector.distillation import divergence, early_fusion, features, teach
+from cp_env.detector.fusion import FUSIONS
+from cp_env.detector.train import Args, batch_loss, encoder_digest, load, main, train
+from cp_env.detector.weights import read_detector, save_detector
 from cp_env.types import Sweep
 from tests.toy import ToySource
 
@@ -108,7 +111,7 @@ def test_the_loss_falls(footage: list[Footage], tmp_path: Path) -> None:
         batch = draw(footage, np.random.default_rng(0), frames=1, egos=1, views=2, agents=2)
         patch.setattr(module, "draw", lambda *_, **__: batch)
         real = module.batch_loss
-        patch.setattr(module, "batch_loss", lambda d, b: losses.append(real(d, b)) or losses[-1])
+        patch.setattr(module, "batch_loss", lambda *a, **k: losses.append(real(*a, **k)) or losses[-1])
         train(args, footage)
     assert losses[-1] < 0.4 * losses[0]
 
@@ -133,3 +136,114 @@ def test_a_killed_run_ends_where_it_would_have(footage: list[Footage], tmp_path:
         train(replace(TINY, out=tmp_path / "killed", steps=4), footage)
     again = train(replace(TINY, out=tmp_path / "killed", steps=4), footage)
     assert again.digest == whole.digest
+
+
+@pytest.fixture(scope="module")
+def known(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Weights to start heads from."""
+    path = tmp_path_factory.mktemp("weights") / "mean.safetensors"
+    with torch.random.fork_rng():
+        torch.manual_seed(2)
+        save_detector(Detector(), path)
+    return path
+
+
+def test_kept_maps_are_the_encoders(known: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    args = replace(TINY, fusion="max", encoder=known, cache=tmp_path, stride=2)
+    source = ToySource(n_frames=2)
+    footage = load(args, source)
+    detector = read_detector(known).eval()
+    batch = draw(footage, np.random.default_rng(0), frames=1, egos=2, views=2, agents=4)
+    assert batch.maps is not None and len(batch.maps) == len(batch.occupancy)
+    with torch.no_grad():
+        torch.testing.assert_close(batch.maps, detector.encode_grids(batch.occupancy), atol=2e-3, rtol=2e-3)
+    monkeypatch.setattr(Detector, "encode_grids", lambda *_: pytest.fail("encoded again"))
+    assert np.array_equal(load(args, source)[0].maps, footage[0].maps)
+    other = Detector()
+    assert encoder_digest(other) != encoder_digest(detector)
+
+
+def test_the_ego_comes_first(footage: list[Footage]) -> None:
+    for seed in range(4):
+        batch = draw(footage, np.random.default_rng(seed), frames=2, egos=2, views=3)
+        assert not batch.ego_T_sender[:, 0].any()
+        without = batch.groups.reshape(len(batch.agent), 3, -1)[:, -1, 0]
+        assert not without.any()  # the last view of each lacks the ego
+
+
+@pytest.mark.parametrize("name", FUSIONS)
+def test_heads_learn_behind_a_fixed_encoder(name: str, known: Path, footage: list[Footage], tmp_path: Path) -> None:
+    before = read_detector(known)
+    args = replace(TINY, fusion=name, encoder=known, out=tmp_path, steps=3)
+    trained = train(args, footage)
+    assert trained.fusion == name and encoder_digest(trained) == encoder_digest(before)
+    assert not torch.equal(trained.decoder.stem.conv.weight, before.decoder.stem.conv.weight)
+    fresh = FUSIONS[name](trained.channels).state_dict()
+    learned = trained.fuser.state_dict()
+    assert learned.keys() == fresh.keys()
+    assert all((value - fresh[key]).any() for key, value in learned.items())
+    save_detector(trained, tmp_path / f"{name}.safetensors")
+    assert read_detector(tmp_path / f"{name}.safetensors").fusion == name
+
+
+def test_early_fusion_is_every_return_in_one_grid(footage: list[Footage]) -> None:
+    batch = draw(footage, np.random.default_rng(1), frames=1, egos=1, views=3, agents=3)
+    grids = early_fusion(batch, 32.0)
+    cells = (batch.ego_T_sender[0, :, :2] / bev.BEV.cell).round().int().tolist()
+    for row, group in zip(grids, batch.groups, strict=True):
+        union = torch.zeros_like(batch.occupancy[0])
+        for sweep, (x, y), member in zip(batch.agent[0].tolist(), cells, group.tolist(), strict=True):
+            if member:
+                for layer, joint in zip(batch.occupancy[sweep], union, strict=True):
+                    source, target = _overlap(layer, joint, x, y)
+                    target.copy_(torch.maximum(target, source))
+        assert torch.equal(row, union.float()) and row.any()
+
+
+def test_distillation_by_hand_and_at_its_floor(footage: list[Footage]) -> None:
+    ours = torch.tensor([0.0, 0.0]).reshape(1, 2, 1, 1)
+    theirs = torch.tensor([np.log(3.0), 0.0]).reshape(1, 2, 1, 1).float()  # softmax 3/4, 1/4 against 1/2, 1/2
+    by_hand = 0.75 * np.log(1.5) + 0.25 * np.log(0.5)
+    assert divergence([ours, ours], [theirs, ours]).item() == pytest.approx(by_hand, rel=1e-5)
+    torch.manual_seed(0)
+    teacher = Detector().eval().requires_grad_(False)
+    batch = draw(footage, np.random.default_rng(0), frames=1, egos=1, views=2, agents=2)
+    taught = teach(teacher, batch)
+    same, seen = features(teacher, teacher.encode_grids(early_fusion(batch, 32.0)))
+    assert divergence(seen, taught).item() == pytest.approx(0, abs=1e-6)
+    assert len(taught) == 3 and same.logits.shape == (2, 64, 64)
+
+
+def test_a_student_is_drawn_to_its_teacher(known: Path, footage: list[Footage]) -> None:
+    batch = draw(footage, np.random.default_rng(0), frames=1, egos=1, views=2, agents=3)
+    teacher = read_detector(known).eval().requires_grad_(False)
+    student = Detector(fusion="disconet")
+    alone = batch_loss(student, batch)
+    taught = batch_loss(student, batch, teacher=teacher, weight=2.0)
+    assert taught > alone
+    taught.backward()
+    assert all(parameter.grad is not None for parameter in student.fuser.parameters())
+    assert all(parameter.grad is None for parameter in teacher.parameters())
+
+
+def test_the_command_trains_a_teacher_and_its_student(
+    known: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from cp_env.detector import train as module
+
+    monkeypatch.setattr(module, "open_source", lambda _: ToySource(n_frames=1))
+    tiny = replace(TINY, steps=1, cache=tmp_path / "cache")
+    main(replace(tiny, early=True, init=known, out=tmp_path))
+    teacher = tmp_path / "early.safetensors"
+    student = replace(tiny, fusion="disconet", encoder=known, teacher=teacher, out=tmp_path / "student")
+    main(student)
+    assert read_detector(student.out / "disconet.safetensors").fusion == "disconet"
+
+
+def test_what_does_not_go_together_is_refused(known: Path, footage: list[Footage], tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="choose one"):
+        Args(encoder=known, init=known)
+    with pytest.raises(ValueError, match="leave --fusion at mean, not max"):
+        Args(early=True, fusion="max")
+    with pytest.raises(ValueError, match="fuses by mean, not sum"):
+        train(replace(TINY, init=known, fusion="sum", out=tmp_path), footage)
