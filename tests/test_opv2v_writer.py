@@ -56,7 +56,7 @@ def test_a_crossing_comes_back(data: str, rsu: bool, tmp_path: Path) -> None:
 
 
 def test_a_recorded_scene_comes_back(tmp_path: Path) -> None:
-    town = Clip(Town("test"), frames=2)
+    town = Clip(Town("test"), frames=2, vehicles=2)
     name = town.names()[1]
     export(town, tmp_path / "out", layout="opv2v", names=[name])
     require_same(town, name, OPV2V(tmp_path / "out"))
@@ -73,7 +73,7 @@ def test_another_reader_finds_the_same_points(tmp_path: Path) -> None:
         c, s = np.cos(np.radians(yaw)), np.sin(np.radians(yaw))
         points = pcd.read(tmp_path / "toy-1" / agent / "000000.pcd")
         world = points @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]).T + [x, y, z]
-        expected = sweep.points + [*sweep.origin[:2], 0.0]
+        expected = sweep.points + np.append(sweep.origin[:2], 0.0)
         assert np.abs(world * [1, -1, 1] - expected).max() < MILLIMETRE
         assert set(said["vehicles"]) == set(range(1001, 1001 + len(scene.size)))
         assert all(type(value) is float for entry in said["vehicles"].values() for value in entry["location"])

@@ -26,8 +26,12 @@ class Cast:
     connected: Int[np.ndarray, " A"]
 
 
-def candidates(tracks: Tracks, streets: Streets, rng: np.random.Generator, most: int) -> list[Cast]:
+def candidates(
+    tracks: Tracks, streets: Streets, rng: np.random.Generator, most: int, *, least: int = LEAST
+) -> list[Cast]:
     """Up to `most` casts, the most promising first, from different windows; none if no vehicle ever has enough company.
+
+    A cast has at least `least` vehicles and at most `MOST`, or `least` if that is more.
 
     Good are: four partners at 20-35 m that spread out, some company in sight, an ego that drives about as far as the
     scene was drawn to see (from hardly at all to a whole street).
@@ -41,10 +45,10 @@ def candidates(tracks: Tracks, streets: Streets, rng: np.random.Generator, most:
         gap = np.linalg.norm(place[:, :, None] - place[:, None], axis=-1)
         casts = []
         for ego in np.flatnonzero(_central(place, streets)).tolist():
-            partners = _partners(gap, ego)
-            if len(partners) >= LEAST - 1:
+            partners = _partners(gap, ego, least)
+            if len(partners) >= least - 1:
                 value = _value(place, gap, ego, partners, travel) + rng.normal(0, 0.3)
-                casts.append(Cast(value, start, here[[ego, *partners[: MOST - 1]]]))
+                casts.append(Cast(value, start, here[[ego, *partners[: max(MOST, least) - 1]]]))
         found += sorted(casts, key=lambda cast: -cast.value)[:2]
     return sorted(found, key=lambda cast: -cast.value)[:most]
 
@@ -53,10 +57,10 @@ def _central(place: Float[np.ndarray, "t v 2"], streets: Streets) -> Bool[np.nda
     return (np.linalg.norm(place - streets.centre, axis=-1) < streets.radius).all(axis=0)
 
 
-def _partners(gap: Float[np.ndarray, "t v v"], ego: int) -> list[int]:
+def _partners(gap: Float[np.ndarray, "t v v"], ego: int, least: int) -> list[int]:
     """Four that spread out, nearest first, then the rest that stay in range, nearest first."""
     near = np.flatnonzero(gap[:, ego].max(axis=0) < RADIO - 1)
-    if len(near) < LEAST:  # the ego is among them
+    if len(near) < least:  # the ego is among them
         return []
     pair = gap[:, near[:, None], near].mean(axis=0)
     order = np.argsort(pair[near == ego][0])  # the ego itself comes first

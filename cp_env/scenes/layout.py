@@ -46,6 +46,7 @@ STYLES = {
     "urban": Style(0.86, 0.12, (0.2, 2.0), (9, 22), (0.0, 2.5), (8, 20), 0.15, 0.03, 0.1),
     "suburban": Style(0.62, 0.10, (2.5, 6.0), (9, 14), (3.0, 8.0), (4, 8), 0.80, 0.05, 0.7),
     "intersection": Style(0.82, 0.18, (0.5, 4.0), (12, 26), (0.5, 6.0), (6, 18), 0.30, 0.03, 0.1),
+    "none": Style(0.0, 0.0, (0.5, 4.0), (12, 26), (0.5, 6.0), (6, 18), 0.0, 0.0, 0.0),  # beside given buildings
 }
 
 
@@ -94,8 +95,12 @@ def furnish(
     swept: np.ndarray,
     rng: np.random.Generator,
     reach: float,
+    buildings: Float[np.ndarray, "B 6"] | None = None,
 ) -> Layout:
-    """Furnish what lies within `reach` m of the ego's `path`, but for the polygons that traffic has `swept`."""
+    """Furnish what lies within `reach` m of the ego's `path`, but for the polygons that traffic has `swept`.
+
+    Given `buildings` take the place of houses; those that stand where traffic drives are left out.
+    """
     style = STYLES[kind]
     area = shapely.MultiPoint(path).buffer(reach)
     kerbs = _kerbs(streets, style, area, rng)
@@ -103,10 +108,14 @@ def furnish(
     shapes = footprints(wanted)
     free = ~shapely.intersects(streets.carriageway, shapes) & shapely.contains(area, shapes)
     free &= ~_near(shapes, swept, 0.25)
+    given = np.zeros((0, 6)) if buildings is None else buildings
+    inside = shapely.intersects(area, footprints(given)) & ~_near(footprints(given), swept, 0.0)
+    given = given[inside]
+    free &= ~_near(shapes, footprints(given), 0.1)
     cars = wanted[_settle(shapes, free, 0.1)]
-    obstacles = np.zeros((0, 6))
+    obstacles = given
     makers: tuple[Callable[[Kerb, Style, np.random.Generator], Iterator[np.ndarray]], ...] = (_houses, _fences, _trunks)
-    for make in makers:
+    for make in makers if buildings is None else makers[1:]:
         wanted = _stack([box for kerb in kerbs for box in make(kerb, style, rng)])
         shapes = footprints(wanted)
         free = ~_near(shapes, np.concatenate([footprints(cars), swept]), 0.6) & ~_near(

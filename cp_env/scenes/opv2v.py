@@ -24,7 +24,7 @@ from tqdm import tqdm
 from cp_env.geometry import compose, invert
 from cp_env.scenes import pcd
 from cp_env.scenes.broken import BrokenData, sift
-from cp_env.scenes.hits import MARGIN, count_returns
+from cp_env.scenes.hits import CLEARANCE, MARGIN, count_returns
 from cp_env.scenes.opv2v_axes import from_carla, mirrored, planar
 from cp_env.scenes.opv2v_files import Listed, Note, Scenario, read_note, scenarios, survey
 from cp_env.types import Scene, Sweep
@@ -303,7 +303,7 @@ def _sweep(reel: Reel, t: int, agent: int) -> Sweep:
     if agent < scene.n_connected:
         points = points[~_over(points, place[2], scene.size[scene.connected[agent]])]
     middle = np.column_stack([scene.pose[t, :, :2] - place[:2], scene.size[:, 2] / 2])
-    hits = count_returns(points, middle, scene.size, scene.pose[t, :, 2])
+    hits = count_returns(points[points[:, 2] >= CLEARANCE], middle, scene.size, scene.pose[t, :, 2])
     error = reel.believed[t, agent] - place
     if error.any():
         astray = np.array([[np.cos(error[2]), np.sin(error[2])], [-np.sin(error[2]), np.cos(error[2])]])

@@ -34,7 +34,7 @@ def record(name: str, kind: str, seed: int) -> Scene:
             town = streets.build(*streets.draw(kind, rng), Path(folder))
             tracks = traffic.drive(town, Path(folder), rng, crowd=int(rng.integers(*CROWD[kind])))
         casts = casting.candidates(tracks, town, rng, AUDITIONS)
-        scenes = [_stage(name, kind, town, tracks, cast, rng) for cast in casts]
+        scenes = [stage(name, kind, town, tracks, cast, rng) for cast in casts]
         auditions = [
             (_merit(scene, cast), scene) for scene, cast in zip(scenes, casts, strict=True) if scene is not None
         ]
@@ -49,10 +49,21 @@ def _merit(scene: Scene, cast: casting.Cast) -> float:
     return float(0.12 * cast.value - abs(alone - ALONE) - 3 * max(0.0, FIVE - five))
 
 
-def _stage(
-    name: str, kind: str, town: Streets, tracks: traffic.Tracks, cast: casting.Cast, rng: np.random.Generator
+def stage(
+    name: str,
+    kind: str,
+    town: Streets,
+    tracks: traffic.Tracks,
+    cast: casting.Cast,
+    rng: np.random.Generator,
+    buildings: Float[np.ndarray, "B 6"] | None = None,
 ) -> Scene | None:
-    """Furnish the streets round one cast; None if SUMO drove two of the connected through each other."""
+    """Furnish the streets round one cast; None if SUMO drove two of the connected through each other.
+
+    Args:
+        kind: "urban", "suburban" or "intersection": what stands beside the streets.
+        buildings: boxes that stand there instead of houses.
+    """
     pose = tracks.pose[cast.start : cast.start + casting.FRAMES].copy()
     path = pose[:, cast.connected[0], :2]
     pose[np.linalg.norm(pose[:, :, None, :2] - path[None, None, ::10], axis=-1).min(axis=2) > REACH] = np.nan
@@ -60,7 +71,7 @@ def _stage(
     if not np.isin(cast.connected, kept).all():
         return None
     pose, size = pose[:, kept], tracks.size[kept]
-    still = layout.furnish(town, kind, path, _swept(pose, size), rng, REACH)
+    still = layout.furnish(town, kind, path, _swept(pose, size), rng, REACH, buildings)
     parked = np.repeat(still.pose[None], len(pose), axis=0)
     scene = Scene(
         name=name,
@@ -69,7 +80,7 @@ def _stage(
         pose=np.concatenate([pose, parked], axis=1),
         size=np.concatenate([size, still.size]),
         connected=np.searchsorted(kept, cast.connected),
-        rsu=layout.place_rsu(town, still, path, rng),
+        rsu=layout.place_rsu(town, still, path, rng) if len(town.junctions) else None,
         obstacles=still.obstacles,
     )
     return _moved(scene, angle=rng.uniform(-np.pi, np.pi), origin=path.mean(axis=0))
@@ -116,6 +127,5 @@ def _moved(scene: Scene, angle: float, origin: Float[np.ndarray, " 2"]) -> Scene
         place, yaw, rest = rows[..., :2], rows[..., 2:3], rows[..., 3:]
         return np.concatenate([(place - origin) @ turn.T, wrap(yaw + angle), rest], axis=-1)
 
-    assert scene.rsu is not None
-    rsu = np.concatenate([turn @ (scene.rsu[:2] - origin), scene.rsu[2:]])
+    rsu = None if scene.rsu is None else np.concatenate([turn @ (scene.rsu[:2] - origin), scene.rsu[2:]])
     return replace(scene, pose=moved(scene.pose), rsu=rsu, obstacles=moved(scene.obstacles))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import subprocess
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass, field
@@ -16,7 +17,7 @@ STUB = 100.0  # m: the streets that lead out of a network, where traffic enters 
 LANE_WIDTH = 3.2  # m
 SPEED = 7.5  # m/s: the limit; a 30 km/h zone driven with some care
 
-NEEDS_SUMO = "recording scenes needs SUMO; install this package with its extra: pip install '.[sumo]'"
+NEEDS_SUMO = "new traffic needs SUMO; install this package with its extra: pip install '.[sumo]'"
 
 
 @dataclass
@@ -43,7 +44,7 @@ class Plan:
 @dataclass(frozen=True)
 class Lane:
     edge: str
-    index: int  # 0 is the rightmost
+    index: int  # 0 is the rightmost for cars
     shape: Float[np.ndarray, "P 2"]
     width: float
     internal: bool  # inside a junction
@@ -166,17 +167,23 @@ def build(plan: Plan, radius: float, folder: Path) -> Streets:
     done = subprocess.run([str(part) for part in command], capture_output=True, text=True)
     if done.returncode:
         raise RuntimeError(f"netconvert failed: {done.stderr}")
-    return _read(files["net"], radius)
+    return read(files["net"], radius)
 
 
-def _read(net: Path, radius: float) -> Streets:
-    root = ET.parse(net).getroot()
+def read(net: Path, radius: float) -> Streets:
+    """The streets of a network that cars may use, plain or packed by gzip, centred on its origin.
+
+    Raises:
+        OSError, ET.ParseError: the file cannot be read.
+    """
+    with gzip.open(net) if net.suffix == ".gz" else open(net, "rb") as file:
+        root = ET.parse(file).getroot()
     lanes = []
     for edge in root.iter("edge"):
         if edge.get("function") in (None, "internal"):
-            for lane in edge.iter("lane"):
+            internal = edge.get("function") is not None
+            for index, lane in enumerate(lane for lane in edge.iter("lane") if _for_cars(lane)):
                 width = float(lane.get("width", LANE_WIDTH))
-                index, internal = int(lane.get("index", 0)), edge.get("function") is not None
                 lanes.append(Lane(edge.get("id", ""), index, _points(lane), width, internal))
     areas = [LineString(lane.shape).buffer(lane.width / 2, cap_style="flat") for lane in lanes]
     spots = []
@@ -187,17 +194,24 @@ def _read(net: Path, radius: float) -> Streets:
         if len(junction.get("shape", "").split()) > 2:
             areas.append(Polygon(_points(junction)).buffer(0))
     ends = {j.get("id") for j in root.iter("junction") if j.get("type") == "dead_end"}
-    edges = [edge for edge in root.iter("edge") if edge.get("function") is None]
+    open_to_cars = {lane.edge for lane in lanes if not lane.internal}
+    edges = [edge for edge in root.iter("edge") if edge.get("id") in open_to_cars]
     return Streets(
         net=net,
         lanes=lanes,
         carriageway=shapely.union_all(areas).buffer(0.1).buffer(-0.1),
-        junctions=np.array(spots),
+        junctions=np.array(spots).reshape(-1, 3),
         sources=[edge.get("id", "") for edge in edges if edge.get("from") in ends],
         sinks=[edge.get("id", "") for edge in edges if edge.get("to") in ends],
         centre=np.zeros(2),
         radius=radius,
     )
+
+
+def _for_cars(lane: ET.Element) -> bool:
+    if "allow" in lane.attrib:
+        return bool({"passenger", "all"} & set(lane.attrib["allow"].split()))
+    return not {"passenger", "all"} & set(lane.get("disallow", "").split())
 
 
 def _points(element: ET.Element) -> Float[np.ndarray, "P 2"]:

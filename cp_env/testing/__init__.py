@@ -16,8 +16,9 @@ from typing import Any
 from cp_env.testing.generic import GENERIC, Rule
 from cp_env.testing.house import HOUSE, is_ours
 from cp_env.testing.rollout import Case, Env, Violation
+from cp_env.testing.scenes import LAWS, LawBroken, check_scenes
 
-__all__ = ["GENERIC", "HOUSE", "Rule", "RuleBroken", "check_env"]
+__all__ = ["GENERIC", "HOUSE", "LAWS", "LawBroken", "Rule", "RuleBroken", "check_env", "check_scenes"]
 
 
 class RuleBroken(AssertionError):
