@@ -8,9 +8,10 @@ BIN := .venv/bin
 READY := .venv/.installed
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 TORCH := $(shell grep '^torch==' constraints.txt)
+DEVKIT := .venv-devkit
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: demo test lint bench record clean
+.PHONY: demo test lint bench devkit record clean
 .DEFAULT_GOAL := demo
 
 demo: $(READY) ## the small benchmark: a table on screen, out/demo/ on disk with the picture of one episode
@@ -28,12 +29,18 @@ lint: $(READY) ## style, types, import contracts
 bench: $(READY) ## speed, on one torch thread
 	$(BIN)/python -m pytest benchmarks --benchmark-only --benchmark-columns=median,iqr,rounds
 
+devkit: $(READY) ## load exported scenes in the nuScenes devkit, in an environment of its own (numpy < 2), and compare
+	test -x $(DEVKIT)/bin/python || $(PYTHON) -m venv $(DEVKIT)
+	$(DEVKIT)/bin/python -m pip install --disable-pip-version-check --quiet 'numpy<2' nuscenes-devkit==1.2.0
+	$(BIN)/python -m tests.devkit.expected out/devkit
+	$(DEVKIT)/bin/python tests/devkit/compare.py out/devkit
+
 record: $(READY) ## record the town's traffic anew, in out/recordings (needs the simulator, about 260 MB)
 	$(PIP) install -c constraints.txt -e '.[sumo]'
 	$(BIN)/python -m cp_env.scenes.record --out out/recordings --jobs $(WORKERS)
 
 clean: ## forget the virtual environment
-	rm -rf .venv
+	rm -rf .venv $(DEVKIT)
 
 # torch first, by its exact version and without its dependencies: an open range would prefer the CUDA build.
 $(READY): pyproject.toml constraints.txt

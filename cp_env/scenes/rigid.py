@@ -28,7 +28,7 @@ def upright(yaw: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n 4"]:
 
 def heading(a_T_b: Float[np.ndarray, "*n 3 _"]) -> Float[np.ndarray, "*n"]:
     """Yaw of the x axis of b as seen in the plane of a; rad."""
-    return np.arctan2(a_T_b[..., 1, 0], a_T_b[..., 0, 0])
+    return np.asarray(np.arctan2(a_T_b[..., 1, 0], a_T_b[..., 0, 0]))
 
 
 def motion(
