@@ -12,6 +12,7 @@ Importing this package registers the ids and loads neither torch nor the world: 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cp_env.registration import ENV_ID, register_ids
@@ -19,6 +20,7 @@ from cp_env.registration import ENV_ID, register_ids
 if TYPE_CHECKING:
     from pettingzoo import AECEnv
 
+    from cp_env.detector.protocol import DetectorLike
     from cp_env.parallel import CollaborativePerceptionEnv
     from cp_env.types import SceneSource
     from cp_env.vector import JointAdversaryVectorEnv
@@ -46,6 +48,8 @@ def parallel_env(
     slots: str = "adversaries",
     grace_frames: int = 1,
     max_frames: int = 100,
+    detector: str | DetectorLike = "cp_env",
+    checkpoint: str | Path | None = None,
     device: str = "cpu",
     render_mode: str | None = None,
 ) -> CollaborativePerceptionEnv:
@@ -57,7 +61,7 @@ def parallel_env(
         n_vehicles: n, maps that are shared, the ego's included; no more than the scenes have connected vehicles.
         n_attackers: k, how many of them lie, 0 < k < n; drawn anew at each reset. The ego may be one of them.
         attackers: fixes who lies (distinct numbers, 0 is the ego) and with it k; nothing is drawn then.
-        fusion: name of the detector whose shipped weights are the victim; it says how maps are fused.
+        fusion: how maps are fused: of our own detector, it names the shipped weights.
         scenes: "town" (the training split), "town/train", "town/calibration", "town/test", or any `SceneSource`.
         action: how a Box in [-1, 1] becomes a perturbation. "full": the raw map (C, H, W), times the budget; "basis": a
             few coefficients on fixed directions; "guided": at most 16 numbers that steer the detector's gradient.
@@ -77,6 +81,9 @@ def parallel_env(
         grace_frames: frames at the start of an episode in which perturbations do nothing: the defender needs an honest
             first look.
         max_frames: frames an episode lasts (5 a second); its end is a truncation.
+        detector: whose eyes the victim has: "cp_env", our own; "coperception", the public code's, from a checkpoint of
+            yours; or any object of `cp_env.detector.protocol.DetectorLike`.
+        checkpoint: the file that coperception saved, for `detector="coperception"`; `fusion` says which model it is of.
         device: where the detector runs, as torch spells it.
         render_mode: "rgb_array" (`render()` returns a picture), "human" (a window follows the episode), or None.
 
@@ -105,6 +112,8 @@ def parallel_env(
         slots=slots,
         grace_frames=grace_frames,
         max_frames=max_frames,
+        detector=detector,
+        checkpoint=checkpoint,
         device=device,
         render_mode=render_mode,
     )

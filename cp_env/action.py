@@ -159,7 +159,7 @@ class Guided(ActionMap):
         spoof, drift = (weights * guidance.spoof[busy]).sum(1), (weights * guidance.drift[busy]).sum(1)
         moving, reach = delta[busy], radius[busy]
         perceive = lies(
-            situation.detector,
+            situation.eyes(busy),
             situation.received[busy],
             situation.coverage[busy],
             situation.fused[busy],

@@ -17,12 +17,12 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Shaped
 from torch import Tensor
 from tqdm import tqdm
 
-from cp_env.detector import Detector
 from cp_env.detector.decoder import Dense
+from cp_env.detector.protocol import DetectorLike, KeepsSweep, at_side
 from cp_env.geometry import grid_origin
 from cp_env.truth import truth_boxes
 from cp_env.types import Scene, SceneSource, View
@@ -59,6 +59,7 @@ class Episode:
     clean: Dense  # everyone fused, nobody lying; half precision, T views
     clean_views: tuple[View, ...]
     truth: tuple[Float[np.ndarray, "_ 5"], ...]  # strict: every vehicle in range, seen or hidden; ego frame
+    kept: Shaped[np.ndarray, "T ..."] | None = None  # what the ego keeps of its own sweeps, if the detector asks for it
 
     def maps(self, name: str, frame: int) -> Float[Tensor, "N C H W"]:
         """`features` or `received` of one frame, single precision."""
@@ -75,6 +76,14 @@ def stack_maps(places: Sequence[tuple[Episode, int]], name: str) -> Float[Tensor
     return stacked
 
 
+def stack_kept(
+    places: Sequence[tuple[Episode, int]], device: torch.device | str = "cpu"
+) -> Shaped[Tensor, "E ..."] | None:
+    """What the ego keeps in E (episode, frame); None if the detector asks for nothing."""
+    rows = [episode.kept[frame] for episode, frame in places if episode.kept is not None]
+    return torch.from_numpy(np.stack(rows)).to(device) if rows else None
+
+
 class SceneBank:
     """Encoded episodes of one source under one detector.
 
@@ -82,7 +91,7 @@ class SceneBank:
     """
 
     def __init__(
-        self, source: SceneSource, detector: Detector, root: Path | None = None, progress: bool = True
+        self, source: SceneSource, detector: DetectorLike, root: Path | None = None, progress: bool = True
     ) -> None:
         self.source, self.detector, self.progress = source, detector, progress
         self.root = (root or cache_directory()) / f"{source.digest}-{detector.digest}"
@@ -109,11 +118,16 @@ class SceneBank:
         features = tuple(self._open(scene, "features", agent) for agent in agents)
         received = tuple(self._open(scene, "received", agent) for agent in agents)
         coverage = self.detector.coverage(poses)
-        clean, views = self._clean(scene, received, coverage)
+        kept = np.load(self._path(scene, "kept", 0), mmap_mode="c", allow_pickle=False) if self._keeps else None
+        clean, views = self._clean(scene, received, coverage, kept)
         truth = tuple(
             truth_boxes(scene, t, int(scene.connected[0]), self.detector.extent) for t in range(scene.n_frames)
         )
-        return Episode(scene, features, received, poses, coverage, clean, views, truth)
+        return Episode(scene, features, received, poses, coverage, clean, views, truth, kept)
+
+    @property
+    def _keeps(self) -> bool:
+        return isinstance(self.detector, KeepsSweep)
 
     def _agents(self, scene: Scene, n_vehicles: int, rsu: bool) -> list[int]:
         """Rows of a frame's sweeps: the first n connected vehicles, then the road-side unit."""
@@ -159,6 +173,7 @@ class SceneBank:
         detector = self.detector
         shape = (scene.n_frames, detector.channels, detector.size, detector.size)
         made = {(kind, a): np.empty(shape, np.float16) for kind in ("features", "received") for a in missing}
+        kept: list[Tensor] = []
         poses = torch.from_numpy(self._poses(scene, missing if 0 in missing else [0, *missing])[:, -len(missing) :])
         starts = range(0, scene.n_frames, CHUNK)
         for start in tqdm(starts, f"encoding {scene.name}", leave=False, disable=not self.progress, unit_scale=CHUNK):
@@ -168,9 +183,13 @@ class SceneBank:
                 flat = detector.encode([sweeps[f][a] for f in range(len(frames)) for a in missing])
                 maps = flat.reshape(len(frames), len(missing), *flat.shape[1:])
                 warped = detector.warp(maps, poses[frames.start : frames.stop].to(maps.device))
+                if isinstance(detector, KeepsSweep):
+                    kept.append(detector.keep([of_all[0] for of_all in sweeps]).cpu())
             for column, agent in enumerate(missing):
                 made["features", agent][frames.start : frames.stop] = maps[:, column].cpu().numpy()
                 made["received", agent][frames.start : frames.stop] = warped[:, column].cpu().numpy()
+        if kept:
+            self._write(self._path(scene, "kept", 0), torch.cat(kept).numpy())
         for (kind, agent), array in made.items():  # "features" first: its presence is implied by "received"
             self._write(self._path(scene, kind, agent), array)
 
@@ -181,18 +200,25 @@ class SceneBank:
         os.replace(draft, path)
 
     def _clean(
-        self, scene: Scene, received: tuple[np.ndarray, ...], coverage: Float[Tensor, "T N H W"]
+        self,
+        scene: Scene,
+        received: tuple[np.ndarray, ...],
+        coverage: Float[Tensor, "T N H W"],
+        kept: Shaped[np.ndarray, "T ..."] | None,
     ) -> tuple[Dense, tuple[View, ...]]:
         """What the ego would see in every frame if nobody lied."""
-        everyone = torch.ones(1, len(received), dtype=torch.bool)
+        device = self.detector.device
+        first = torch.zeros(1, dtype=torch.long, device=device)
+        everyone = torch.ones(1, len(received), dtype=torch.bool, device=device)
         group, views, logits, boxes = frozenset(range(len(received))), [], [], []
         for t in range(scene.n_frames):
             maps = torch.stack([torch.from_numpy(m[t]) for m in received]).float()[None]
+            eyes = at_side(self.detector, None if kept is None else torch.from_numpy(kept[t : t + 1]))
             with torch.inference_mode():
-                dense = self.detector.perceive(maps, coverage[t : t + 1], torch.zeros(1, dtype=torch.long), everyone)
+                dense = eyes.perceive(maps.to(device), coverage[t : t + 1].to(device), first, everyone)
                 views += make_views(self.detector, dense, [group], [t], [ego_place(scene, t)])
-            logits.append(dense.logits.half())
-            boxes.append(dense.boxes.half())
+            logits.append(dense.logits.half().cpu())
+            boxes.append(dense.boxes.half().cpu())
         return Dense(torch.cat(logits).clone(), torch.cat(boxes).clone()), tuple(views)
 
 
@@ -202,7 +228,7 @@ def ego_place(scene: Scene, frame: int) -> Float[np.ndarray, " 2"]:
 
 
 def make_views(
-    detector: Detector,
+    detector: DetectorLike,
     dense: Dense,
     groups: list[frozenset[int]],
     frames: list[int],

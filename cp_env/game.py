@@ -6,6 +6,7 @@ Every public environment (PettingZoo, gymnasium, vector, Stable-Baselines3) is a
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -15,7 +16,7 @@ from jaxtyping import Bool, Float, UInt8
 from cp_env.action import make_action
 from cp_env.bank import SceneBank
 from cp_env.camera import Camera
-from cp_env.detector import Detector
+from cp_env.detector.protocol import DetectorLike
 from cp_env.observation import Observation, Observer, Seats
 from cp_env.reward import make_reward
 from cp_env.settings import Settings
@@ -55,7 +56,8 @@ class Game:
         *,
         scenes: str | SceneSource = "town",
         device: str = "cpu",
-        detector: Detector | None = None,
+        detector: str | DetectorLike = "cp_env",
+        checkpoint: str | Path | None = None,
         bank: SceneBank | None = None,
         **knobs: Any,
     ) -> None:
@@ -69,6 +71,7 @@ class Game:
             scenes=scenes,
             device=device,
             detector=detector,
+            checkpoint=checkpoint,
             bank=bank,
             settings=settings,
         )

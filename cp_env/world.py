@@ -5,18 +5,19 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
 
 import defenders
 from cp_env import channel, similarity
-from cp_env.bank import Episode, SceneBank, ego_place, make_views, stack_maps
-from cp_env.detector import Detector, load_detector
+from cp_env.bank import Episode, SceneBank, ego_place, make_views, stack_kept, stack_maps
 from cp_env.detector.decoder import Dense
+from cp_env.detector.protocol import DetectorLike, at_side, open_detector
 from cp_env.scenes import open_source
 from cp_env.settings import Settings
 from cp_env.types import SceneSource, View
@@ -43,7 +44,12 @@ class Situation:
     frame: Int[np.ndarray, " E"]  # since the episode began
     budget: float  # Δ
     norm: str
-    detector: Detector
+    detector: DetectorLike
+    kept: Shaped[Tensor, "E ..."] | None = None  # what the egos keep of their own sweeps, if the detector asks for it
+
+    def eyes(self, worlds: Int[Tensor, " B"] | slice = slice(None)) -> DetectorLike:
+        """The detector with which the egos of `worlds` perceive: for rows of `received[worlds]`."""
+        return at_side(self.detector, None if self.kept is None else self.kept[worlds])
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +104,8 @@ class _State:
 class World:
     """E worlds: scene, liars, channel, the ego's detector and one defender each.
 
-    `defender` is a name, an object (copied for every world) or a factory; `scenes` a name or a `SceneSource`. All other
+    `defender` is a name, an object (copied for every world) or a factory; `scenes` a name or a `SceneSource`;
+    `detector`, `checkpoint` and `device` as in `open_detector`, unless a `bank` brings its detector along. All other
     knobs are those of `cp_env.parallel_env`. Seeds: one `SeedSequence` a world, spawned at every reset for the scene,
     the draw of liars and the defender, so a world's trajectory does not depend on its neighbours.
     """
@@ -110,7 +117,8 @@ class World:
         defender: str | Defender | Callable[[], Defender] = "prbi",
         scenes: str | SceneSource = "town",
         device: str = "cpu",
-        detector: Detector | None = None,
+        detector: str | DetectorLike = "cp_env",
+        checkpoint: str | Path | None = None,
         bank: SceneBank | None = None,
         settings: Settings | None = None,
         **knobs: Any,
@@ -119,9 +127,10 @@ class World:
             raise ValueError(f"num_envs must be at least 1, not {num_envs}")
         self.settings = replace(settings, **knobs) if settings else Settings(**knobs)
         if bank is None:
-            bank = SceneBank(open_source(scenes), detector or load_detector(self.settings.fusion, device))
+            eyes = open_detector(detector, fusion=self.settings.fusion, checkpoint=checkpoint, device=device)
+            bank = SceneBank(open_source(scenes), eyes)
         self.num_envs, self.bank, self.detector = num_envs, bank, bank.detector
-        self.device = torch.device(device)
+        self.device = self.detector.device
         prototype = defenders.make(defender)
         self._worlds = [_State(np.random.SeedSequence(), copy.deepcopy(prototype)) for _ in range(num_envs)]
         self._everyone = frozenset(range(self.settings.n_maps))
@@ -231,6 +240,7 @@ class World:
                 budget=self.settings.budget,
                 norm=self.settings.norm,
                 detector=self.detector,
+                kept=stack_kept(places, self.device),
             )
         return self._situation
 
@@ -279,7 +289,7 @@ class World:
             groups = torch.zeros(len(pairs), self.settings.n_maps, dtype=torch.bool)
             for row, (_, group) in zip(groups, pairs, strict=True):
                 row[sorted(group)] = True
-            dense = self.detector.perceive(attacked, situation.coverage, world, groups.to(self.device))
+            dense = situation.eyes().perceive(attacked, situation.coverage, world, groups.to(self.device))
             states = [self._worlds[e] for e, _ in pairs]
             places = [ego_place(self._episode(s).scene, self._now(s)) for s in states]
             return make_views(self.detector, dense, [g for _, g in pairs], [s.frame for s in states], places)

@@ -26,6 +26,7 @@ from torch.nn import functional
 from cp_env.channel import inject
 from cp_env.detector.decoder import Dense
 from cp_env.detector.detector import Detector
+from cp_env.detector.protocol import DetectorLike
 
 OBJECT_PROBABILITY = 0.2
 """Cells whose clean probability is at least this are object cells, weighted by it."""
@@ -69,7 +70,7 @@ def adversarial_loss(
 
 
 def lies(
-    detector: Detector,
+    detector: DetectorLike,
     received: Float[Tensor, "B N C H W"],
     coverage: Float[Tensor, "B N H W"],
     groups: Bool[Tensor, "B N"],
@@ -81,7 +82,7 @@ def lies(
     A mean of maps is linear in δ, so what the others sent is fused once and not at every call.
     """
     rows = torch.arange(len(received), device=received.device)
-    if detector.fusion != "mean":
+    if not isinstance(detector, Detector) or detector.fusion != "mean":
 
         def general(delta: Float[Tensor, "B k C H W"]) -> Dense:
             attacked = inject(received, detector.warp(delta, ego_T_liar), liars)

@@ -116,6 +116,11 @@ class Detector(nn.Module):
         return self.eval().requires_grad_(False)  # folding put fresh modules in
 
     @property
+    def device(self) -> torch.device:
+        """Where the weights are."""
+        return self._weight.device
+
+    @property
     def digest(self) -> str:
         """A fingerprint of all weights and buffers and of the operating threshold: part of every cache key."""
         sha = hashlib.sha256(f"{self.fusion} {self.floor} {self.threshold}".encode())
