@@ -7,6 +7,8 @@ from dataclasses import dataclass
 SPLITS = ("once", "halves", "members", "replace")
 ROUNDINGS = ("floor", "nearest", "ceiling")
 MEANS = ("m", "floor")
+TIES = ("random", "index")
+STOPPINGS = ("paper", "robust", "never")
 
 
 @dataclass(frozen=True)
@@ -23,6 +25,7 @@ class Reading:
     second    how m is rounded ("floor", "nearest", "ceiling") before the second condition compares it with the number
               of vehicles of probability zero.
     mean      what the mean of the window is compared with in Eq. (14): "m" of this frame, or "floor", ⌊m⌋.
+    ties      how vehicles of equal P_benign are ordered in argsort: at "random", anew in every frame, or by "index".
 
     Under a perfect verifier, n = 5 (`python examples/reproduce/prbi_perfect.py --readings --episodes 500`), frames to
     convergence and percent of the innocents convicted at k = 1, 2, 3, 4; no liar is missed unless marked *:
@@ -38,6 +41,7 @@ class Reading:
         replace   yes      floor       3.01  4.00  4.37  4.00     0  15  22   0
         once      no       nearest *   2.57  2.81  2.59  2.48     6  18  20   0
         once      no       ceiling *   2.19  2.09  2.00  2.14    10  26  24   0
+        once      no       floor       TIES
         the paper                      2.25  2.77  3.36  4.27     0   6   0   0
 
     With the second condition rounded otherwise than m itself, liars are missed (25 to 61 %), which the paper never
@@ -49,11 +53,13 @@ class Reading:
     refresh: bool = False
     second: str = "floor"
     mean: str = "m"
+    ties: str = "random"
 
     def __post_init__(self) -> None:
         check_choice("split", self.split, SPLITS)
         check_choice("second", self.second, ROUNDINGS)
         check_choice("mean", self.mean, MEANS)
+        check_choice("ties", self.ties, TIES)
 
 
 def check_choice(name: str, value: object, known: tuple[str, ...]) -> None:
