@@ -67,11 +67,50 @@ def scenes_export(
     Console().print(f"{out}: written in the layout of {layout}", soft_wrap=True)
 
 
+def scenes_preview(
+    path: str,
+    out: Path = Path("preview.gif"),
+    scene: str | None = None,
+    every: int = 5,
+    frames: int | None = None,
+    extent: float = 48.0,
+    vehicles: int = 15,
+) -> None:
+    """Film a scene of any source from above, and print who is in it and who is seen.
+
+    Args:
+        path: a data set's folder or file, or what names a source: "town/test", "opv2v:/data/OPV2V?split=test".
+        out: where the GIF goes.
+        scene: its name; the source's first by default.
+        every: look at every so many frames.
+        frames: look at no more than the first so many.
+        extent: m round the ego that the film shows.
+        vehicles: how many vehicles, the nearest to the ego first, get a line of their own.
+    """
+    from rich.console import Console
+
+    from cp_env.scenes import open_source, preview
+    from cp_env.scenes.preview_tables import tables
+
+    if every < 1:
+        raise ValueError(f"every must be at least 1, got {every}")
+    source = open_source(preview.spec_of(path))
+    name = source.names()[0] if scene is None else scene
+    loaded = source.load(name)
+    chosen = list(range(0, min(loaded.n_frames, frames or loaded.n_frames), every))
+    found = preview.figures(source, name, chosen)
+    for table in tables(found, vehicles):
+        Console().print(table)
+    preview.write_gif(preview.film(source, name, chosen, extent=extent), out, seconds=every * loaded.dt)
+    Console().print(f"{out}: {len(chosen)} frames of {name}", soft_wrap=True)
+
+
 def play(
     defender: str = "prbi",
     out: Path = Path("episode.gif"),
     scenes: str = "town/test",
     action: str = "guided",
+    fusion: str = "mean",
     n_vehicles: int = 5,
     n_attackers: int = 2,
     max_frames: int = 50,
@@ -84,6 +123,7 @@ def play(
         out: where the GIF goes.
         scenes: "town/train", "town/calibration" or "town/test".
         action: "guided", "basis" or "full".
+        fusion: "mean", "max", "sum", "v2vnet" or "disconet".
         n_vehicles: how many share their maps.
         n_attackers: how many of them lie.
         max_frames: frames of the episode, five a second.
@@ -99,6 +139,7 @@ def play(
         defender,
         scenes=scenes,
         action=action,
+        fusion=fusion,
         n_vehicles=n_vehicles,
         n_attackers=n_attackers,
         max_frames=max_frames,
@@ -122,6 +163,7 @@ def check(
     defender: str = "prbi",
     action: str = "guided",
     observation: str = "features",
+    fusion: str = "mean",
     scenes: str = "town/test",
     max_frames: int = 4,
     steps: int = 6,
@@ -133,6 +175,7 @@ def check(
         defender: who guards the ego.
         action: "guided", "basis" or "full".
         observation: "features" or "compact".
+        fusion: "mean", "max", "sum", "v2vnet" or "disconet".
         scenes: "town/train", "town/calibration" or "town/test".
         max_frames: frames of an episode.
         steps: calls a rule plays; more than an episode is better.
@@ -148,6 +191,7 @@ def check(
             defender,
             action=action,
             observation=observation,
+            fusion=fusion,
             scenes=scenes,
             max_frames=max_frames,
             render_mode="rgb_array",
@@ -167,6 +211,7 @@ def main(args: list[str] | None = None) -> None:
     commands: dict[str, Callable[..., None]] = {
         "scenes": scenes,
         "scenes-export": scenes_export,
+        "scenes-preview": tyro.conf.configure(tyro.conf.PositionalRequiredArgs)(scenes_preview),
         "play": play,
         "check": check,
         "version": version,

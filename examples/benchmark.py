@@ -45,6 +45,7 @@ class Args:
     ks: tuple[int, ...] = (1, 2, 3, 4)  # liars among `vehicles`
     seeds: tuple[int, ...] = (0,)
     vehicles: int = 5
+    fusion: str = "mean"  # or max, sum, v2vnet, disconet
     budget: float = 0.3  # Δ
     protocol: str = "strict"  # how AP is counted: "strict" or "coperception"
     batch: int = 4  # scenes in lock-step
@@ -62,7 +63,9 @@ class Args:
 def main(args: Args) -> None:
     console = Console()
     torch.set_num_threads(args.threads)
-    protocol = evaluation.Protocol(args.scenes, chosen(args), args.frames, args.vehicles, args.budget, ap=args.protocol)
+    protocol = evaluation.Protocol(
+        args.scenes, chosen(args), args.frames, args.vehicles, args.budget, fusion=args.fusion, ap=args.protocol
+    )
     cells = evaluation.plan(
         protocol,
         defenders=args.defenders,
