@@ -22,6 +22,7 @@ from cp_env.detector import bev
 from cp_env.detector.detector import Detector
 from cp_env.detector.loss import Targets, stack, targets
 from cp_env.geometry import LATTICE, grid_origin
+from cp_env.scenes.hits import returns_of
 from cp_env.types import Scene, SceneSource
 
 RETURNS_SEEN = 3
@@ -83,10 +84,11 @@ def _record(source: SceneSource, scene: Scene, grids: Path, rest: Path, stride: 
     frames = range(0, scene.n_frames, stride)
     packed, origin, hits = [], [], []
     for start in range(0, len(frames), 5):
-        for sweeps in source.sweeps(scene, frames[start : start + 5]):
+        part = frames[start : start + 5]
+        for frame, sweeps in zip(part, source.sweeps(scene, part), strict=True):
             packed.append(bev.pack(bev.rasterise(sweeps)))
             origin.append([grid_origin(sweep.origin[:2]) for sweep in sweeps])
-            hits.append([sweep.hits for sweep in sweeps])
+            hits.append([returns_of(scene, frame, sweep) for sweep in sweeps])
     kept = np.asarray(frames)
     size = np.broadcast_to(scene.size[:, :2], (len(kept), len(scene.size), 2))
     boxes = np.concatenate([scene.pose[kept, :, :2], size, scene.pose[kept, :, 2:]], axis=-1)

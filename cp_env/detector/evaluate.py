@@ -26,6 +26,7 @@ from cp_env.detector.weights import about, load_detector, read_detector, save_de
 from cp_env.geometry import grid_origin
 from cp_env.metrics import ApMeter
 from cp_env.scenes import open_source
+from cp_env.scenes.hits import returns_of
 from cp_env.similarity import view_similarity_many
 from cp_env.truth import rows_in_range, truth_boxes
 from cp_env.types import Detections, Scene, SceneSource, Sweep, View
@@ -110,7 +111,7 @@ def look(detector: Detector, scene: Scene, frame: int, sweeps: Sequence[Sweep]) 
     dense = detector.perceive(received[None], coverage[None], torch.zeros(n, dtype=torch.long), groups)
     ego = int(scene.connected[0])
     rows = rows_in_range(scene, frame, ego, detector.extent)
-    returns = sum(sweep.hits[rows] for sweep in sweeps if sweep.hits is not None)
+    returns = sum(returns_of(scene, frame, sweep)[rows] for sweep in sweeps)
     return Seen(
         scene.name,
         origin[0],

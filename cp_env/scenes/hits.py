@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float, Int
 
+from cp_env.types import Scene, Sweep
+
 MARGIN = 0.05  # m; a box may be this much too tight
 CLEARANCE = 0.1  # m; below it, inside a box, lies the road
 _CELL = 2.0  # m; of the raster by which points are looked up
@@ -38,6 +40,14 @@ def count_returns(
     inside = (np.abs(cos * dx + sin * dy) <= half[:, 0] + margin) & (np.abs(cos * dy - sin * dx) <= half[:, 1] + margin)
     inside &= (dz <= half[:, 2] + margin) & (dz >= CLEARANCE - half[:, 2])
     return np.bincount(row[inside], minlength=len(centre))
+
+
+def returns_of(scene: Scene, frame: int, sweep: Sweep) -> Int[np.ndarray, " M"]:
+    """Returns from each of the scene's vehicles: what the source says, or else those inside its box."""
+    if sweep.hits is not None:
+        return sweep.hits
+    middle = np.column_stack([scene.pose[frame, :, :2] - sweep.origin[:2], scene.size[:, 2] / 2])
+    return count_returns(sweep.points, middle, scene.size, scene.pose[frame, :, 2])
 
 
 def _pairs(
