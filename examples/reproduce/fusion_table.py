@@ -108,10 +108,8 @@ def screen(figures: Figures) -> list[Table]:
         for row, by_fusion in figures.items():
             cells = []
             for fusion in fusions:
-                ap = getattr(by_fusion[fusion], figure)
-                cells.append(
-                    f"{100 * ap.mean:.1f} [{100 * ap.low:.0f}, {100 * ap.high:.0f}] | {PAPER[row][FUSIONS.index(fusion)][column]:.1f}"
-                )
+                ap, theirs = getattr(by_fusion[fusion], figure), PAPER[row][FUSIONS.index(fusion)][column]
+                cells.append(f"{100 * ap.mean:.1f} [{100 * ap.low:.0f}, {100 * ap.high:.0f}] | {theirs:.1f}")
             table.add_row(LABELS[row], *cells)
         tables.append(table)
     return tables
