@@ -8,7 +8,9 @@ Set the environment variable `CP_ENV_CACHE` to keep the cache elsewhere.
 from __future__ import annotations
 
 import os
+import shutil
 import uuid
+import weakref
 from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -87,6 +89,9 @@ def stack_kept(
 class SceneBank:
     """Encoded episodes of one source under one detector.
 
+    A source with an attribute `endless` that is true gives scenes that hardly come back: their files are this bank's
+    alone, and leave the disk when they leave memory (after `KEPT` others), at the latest with the bank.
+
     Raises ValueError when a scene holds fewer connected vehicles than asked for, or lacks a road-side unit that is.
     """
 
@@ -95,6 +100,10 @@ class SceneBank:
     ) -> None:
         self.source, self.detector, self.progress = source, detector, progress
         self.root = (root or cache_directory()) / f"{source.digest}-{detector.digest}"
+        self._passing = bool(getattr(source, "endless", False))
+        if self._passing:  # a folder of our own, which goes with us
+            self.root /= uuid.uuid4().hex
+            weakref.finalize(self, _drop, self.root, os.getpid())
         self._episodes: OrderedDict[tuple[str, int, bool], Episode] = OrderedDict()
 
     def __getstate__(self) -> dict[str, Any]:
@@ -107,7 +116,9 @@ class SceneBank:
             self._episodes[key] = self._build(name, n_vehicles, rsu)
         self._episodes.move_to_end(key)
         while len(self._episodes) > KEPT:
-            self._episodes.popitem(last=False)
+            (scene, *_), _ = self._episodes.popitem(last=False)
+            if self._passing:
+                _drop(self.root / scene, os.getpid())
         return self._episodes[key]
 
     def _build(self, name: str, n_vehicles: int, rsu: bool) -> Episode:
@@ -220,6 +231,12 @@ class SceneBank:
             logits.append(dense.logits.half().cpu())
             boxes.append(dense.boxes.half().cpu())
         return Dense(torch.cat(logits).clone(), torch.cat(boxes).clone()), tuple(views)
+
+
+def _drop(folder: Path, owner: int) -> None:
+    """Delete a folder, unless a fork of the process that owns it calls."""
+    if os.getpid() == owner:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def ego_place(scene: Scene, frame: int) -> Float[np.ndarray, " 2"]:

@@ -39,7 +39,7 @@ class LawBroken(AssertionError):
 class Case:
     """One source, and the scenes, frames and sweeps it is judged by."""
 
-    def __init__(self, source: SceneSource, scenes: int, frames: int) -> None:
+    def __init__(self, source: Any, scenes: int, frames: int) -> None:
         self.source, self._scenes, self._frames = source, scenes, frames
 
     @cached_property
