@@ -2,47 +2,63 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from defenders.protocol import Defender, Frame, Inspection, Query, Verdict, View
 from defenders.readings import check_choice
+from defenders.thresholds import EGO_ONLY, open_thresholds
 
 Group = frozenset[int]
-THRESHOLDS = {"agreement": 0.08, "similarity": 0.3}  # as published: CP-Guard's loss, CP-uniGuard's Jaccard option
+PAPER = {"agreement": 0.08, "similarity": 0.3}  # CP-Guard's consistency of segmentation maps, CP-uniGuard's Jaccard
 
 
 class Pasac(Defender):
     """Probability-agnostic sample consensus, anew in every frame; the ego's own view is the reference and not counted.
 
-    The vehicles are halved at ⌊n/2⌋ in random order and both halves verified. A half that passes is accepted whole, one
-    that fails is halved in turn, and a single vehicle that fails is accused. Verifying everyone together is left out.
-    All halves of one depth are asked in one query, which changes the number of forwards and nothing else.
+    The collaborators are halved at ⌊n/2⌋ in random order and both halves verified. A half that passes (its score is
+    above ε) is accepted whole, one that fails is halved in turn, and a single vehicle that fails is accused. Verifying
+    everyone together is left out. All halves of one depth are asked in one query, which changes the number of forwards
+    and nothing else.
 
-    Where the paper is silent: nobody passes, then the ego perceives alone, be it accused or not.
+    Where the paper is silent: with `n_upper` one half is verified after the other, depth first, so that no look is paid
+    for after enough are accepted; a half that passes is accepted whole even if it is more than enough; who was not
+    looked at is neither fused nor accused. If nobody passes the ego perceives alone, be it accused or not.
     """
+
+    max_queries = 128  # a tree over 64 vehicles, one node a query
 
     def __init__(
         self,
         *,
         score: str = "agreement",
+        threshold: str | Mapping[int, float] = "calibrated",
         epsilon: float | None = None,
-        trust_ego: bool = True,
+        visit_all: bool = False,
         n_upper: int | None = None,
+        trust_ego: bool = True,
     ) -> None:
         """Build the defender.
 
-        score      "agreement" (consistency of score maps, CCLoss) or "similarity" (Jaccard of boxes)
-        epsilon    what passes is above it; by default 0.08 for agreement and 0.3 for similarity. The first was made for
-                   segmentation: calibrate it on clean scenes before comparing.
-        trust_ego  as published: the ego is in every group and never accused. False halves all vehicles, the ego too,
-                   which is how PRBI's Table 2 counts.
-        n_upper    stop once so many vehicles are accepted
+        score      "agreement": the consistency of score maps (CCLoss); "similarity": the Jaccard of boxes (CP-uniGuard)
+        threshold  "calibrated": one ε for each size of the group that is fused, shipped; "paper": 0.08 for agreement,
+                   which was made for segmentation maps, and 0.3 for similarity; or a mapping from size to ε
+        epsilon    one ε for every size instead
+        visit_all  verify all 2n - 1 nodes of the tree, the root and the parts of accepted parts too, as CP-uniGuard
+                   does; then whoever is in a part that passes is accepted, and the others are accused
+        n_upper    stop once so many collaborators are accepted; the trusted ego is none
+        trust_ego  as published: the ego is in every group and never accused. False halves all vehicles, the ego too.
         """
-        check_choice("score", score, tuple(THRESHOLDS))
-        if n_upper is not None and n_upper < 1:
-            raise ValueError(f"n_upper is how many vehicles are enough, at least 1, got {n_upper}")
-        self.score, self.trust_ego, self.n_upper = score, trust_ego, n_upper
-        self.epsilon = THRESHOLDS[score] if epsilon is None else epsilon
+        check_choice("score", score, tuple(PAPER))
+        if n_upper is not None and (n_upper < 1 or visit_all):
+            raise ValueError(f"n_upper is how many are enough, at least 1, and not with visit_all; got {n_upper}")
+        self.score, self.trust_ego, self.n_upper, self.visit_all = score, trust_ego, n_upper, visit_all
+        self.epsilon = (
+            open_thresholds(threshold, PAPER[score], EGO_ONLY[score])
+            if epsilon is None
+            else open_thresholds("paper", epsilon)
+        )
 
     def reset(self, n_vehicles: int, rng: np.random.Generator) -> None:
         self.n_vehicles, self.rng = n_vehicles, rng
@@ -52,31 +68,27 @@ class Pasac(Defender):
         ego: Group = frozenset({0}) if self.trust_ego else frozenset()
         (reference,) = yield Query([{0}], verification=False)
         order = self.rng.permutation(np.arange(len(ego), self.n_vehicles)).tolist()
-        accepted, accused = ego, set()
-        parts = halves(order) if len(order) > 1 else [order]
-        while parts and not self._is_enough(accepted):
-            views = yield Query([ego.union(part) for part in parts])
-            failed = []
-            for part, view in zip(parts, views, strict=True):
-                if self._consistency(frame, view, reference) > self.epsilon:
-                    accepted |= frozenset(part)
-                elif len(part) > 1:
-                    failed.append(part)
-                else:
-                    accused |= set(part)
-            parts = [half for part in failed for half in halves(part)]
-        self.accused = frozenset(accused) - (accepted or {0})
+        accepted, failed = set(ego), set()
+        parts = [order] if self.visit_all or len(order) == 1 else halves(order)
+        while parts and (self.n_upper is None or len(accepted - ego) < self.n_upper):
+            now, parts = (parts, []) if self.n_upper is None else (parts[:1], parts[1:])
+            groups = [ego.union(part) for part in now]
+            deeper = []
+            for part, group, view in zip(now, groups, (yield Query(groups)), strict=True):
+                passed = self._passes(frame, group, view, reference)
+                accepted.update(part if passed else ())
+                failed.update(part if len(part) == 1 and not passed else ())
+                deeper += halves(part) if len(part) > 1 and (self.visit_all or not passed) else []
+            parts = deeper + parts
+        self.accused = frozenset(failed - (accepted or {0}))
         return Verdict(accepted or {0}, self.accused)
 
     def belief(self) -> np.ndarray:
         return np.array([float(i in self.accused) for i in range(self.n_vehicles)])
 
-    def _is_enough(self, accepted: Group) -> bool:
-        return self.n_upper is not None and len(accepted) >= self.n_upper
-
-    def _consistency(self, frame: Frame, view: View, reference: View) -> float:
+    def _passes(self, frame: Frame, group: Group, view: View, reference: View) -> bool:
         compare = frame.agreement if self.score == "agreement" else frame.similarity
-        return compare(view, reference)
+        return compare(view, reference) > self.epsilon(group)
 
 
 def halves(members: list[int]) -> list[list[int]]:

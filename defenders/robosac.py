@@ -1,15 +1,20 @@
-"""ROBOSAC (ICCV 2023): sample a team until one agrees with what the ego sees alone."""
+"""ROBOSAC (Li et al., "Among Us", ICCV 2023): sample a team until one agrees with what the ego sees alone."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Generator, Mapping, Sequence
 
 import numpy as np
 
-from defenders.protocol import Defender, Frame, Inspection, Query, Verdict
+from defenders.protocol import Defender, Frame, Inspection, Query, Verdict, View
 from defenders.readings import check_choice
+from defenders.thresholds import EGO_ONLY, open_thresholds
 
+Group = frozenset[int]
+Search = Generator[Query, list[View], Group]
 READINGS = ("replacement", "budgeted", "until_success")
+RATIOS = (0.0, 0.2, 0.4, 0.6, 0.8)
 MOST_TRIES = 1000  # in a frame, where a reading sets no limit
 
 
@@ -20,13 +25,18 @@ class Robosac(Defender):
     within the tries, the ego perceives alone. The readings differ in the size of a team and the number of tries, from
     the share η of liars among those who can be drawn:
 
-        replacement    everyone but the liars, s = n - k, and the N tries that find them with `confidence` when teams
-                       are drawn independently
-        budgeted       `budget` tries, and the largest team that they find with `confidence`, at most n - k
+        replacement    everyone but the liars, s = n - k, and the N tries (`tries_needed`) that find them with
+                       `confidence` when every try draws each vehicle anew
+        budgeted       `budget` tries, and the largest team (`team_size`) they find with `confidence`, at most n - k
         until_success  s = n - k, until one passes: how PRBI's Table 2 counts
 
-    Without `n_attackers` the number of liars is probed, from none upwards: a number is given up after as many failures
-    as "replacement" would try, at most `budget` of them a frame, and the first that passes is kept.
+    Teams are drawn without replacement, as its code does, so the N of its paper is more than is needed.
+
+    Without `n_attackers` the share of liars is probed (its "aggressive to conservative probing"): each frame goes round
+    the `ratios` still open, the smallest and so the largest team first, `budget` tries in all. A ratio is given up
+    after the N failures of "replacement"; one that passes closes itself and all above it. Where paper and code are
+    silent: the tries that probing leaves over go to teams at the ratio found; two ratios that round to the same number
+    of liars are one; once all are given up the ego stays alone. No frame has more than 1,000 tries.
     """
 
     max_queries = MOST_TRIES + 2
@@ -37,87 +47,121 @@ class Robosac(Defender):
         reading: str = "replacement",
         n_attackers: int | None = None,
         budget: int = 5,
+        ratios: Sequence[float] = RATIOS,
+        threshold: str | Mapping[int, float] = "paper",
         epsilon: float = 0.3,
         confidence: float = 0.99,
         trust_ego: bool = True,
     ) -> None:
-        """`trust_ego` as published: the ego is in every team and never drawn. False draws teams from all vehicles."""
+        """`threshold` "paper" is ε for every team; "calibrated" one for each size of the group that is fused, shipped;
+        or a mapping from size to ε. `trust_ego` as published: the ego is in every team and never drawn. False draws
+        teams from all vehicles.
+        """
         check_choice("reading", reading, READINGS)
         if n_attackers is None and reading != "replacement":
             raise ValueError(f"reading {reading!r} needs to know how many lie; pass n_attackers= or use 'replacement'")
-        if (n_attackers is not None and n_attackers < 0) or budget < 1 or not 0 < confidence < 1:
-            raise ValueError(
-                "n_attackers must be at least 0, budget at least 1 and confidence between 0 and 1; got "
-                f"{n_attackers}, {budget} and {confidence}"
-            )
-        self.reading, self.n_attackers, self.budget = reading, n_attackers, budget
-        self.epsilon, self.confidence, self.trust_ego = epsilon, confidence, trust_ego
+        if n_attackers is not None and n_attackers < 0:
+            raise ValueError(f"n_attackers must be at least 0, got {n_attackers}")
+        if not 0 < confidence < 1:
+            raise ValueError(f"confidence is a probability strictly between 0 and 1, got {confidence}")
+        if not ratios or not all(0 <= ratio <= 1 for ratio in ratios):
+            raise ValueError(f"ratios are one or more shares of liars in [0, 1], got {list(ratios)}")
+        least = len(ratios) if n_attackers is None else 1
+        if budget < least:
+            raise ValueError(f"budget must allow {least} tries a frame (one for each ratio probed), got {budget}")
+        self.reading, self.n_attackers, self.budget, self.ratios = reading, n_attackers, budget, tuple(ratios)
+        self.epsilon = open_thresholds(threshold, epsilon, EGO_ONLY["similarity"])
+        self.confidence, self.trust_ego = confidence, trust_ego
+        self._ego: Group = frozenset({0}) if trust_ego else frozenset()
 
     def reset(self, n_vehicles: int, rng: np.random.Generator) -> None:
-        """ValueError if nobody would be left to draw."""
-        self.pool = list(range(int(self.trust_ego), n_vehicles))
+        """ValueError if more lie than can, or if the budget finds not even one honest vehicle with confidence."""
         if self.n_attackers is not None and self.n_attackers >= n_vehicles:
             raise ValueError(f"n_attackers must be below the {n_vehicles} vehicles, got {self.n_attackers}")
         self.n_vehicles, self.rng = n_vehicles, rng
-        self.probed, self.failures, self.kept = 0, 0, False
-        self.accused: frozenset[int] = frozenset()
+        self.pool = np.arange(int(self.trust_ego), n_vehicles)
+        self.accused: Group = frozenset()
+        self.size, self.tries = (
+            (0, 0) if self.n_attackers is None else self._plan(min(self.n_attackers, len(self.pool)))
+        )
+        numbers = sorted({round(ratio * len(self.pool)) for ratio in self.ratios} - {len(self.pool)})
+        self.left = {k: self._tries_for(k) for k in numbers}  # tries until a number of liars is given up
+        self.found: int | None = None  # the least number of liars at which a team passed
 
     def inspect(self, frame: Frame) -> Inspection:
-        size, tries = self._plan()
-        ego = {0} if self.trust_ego else set()
         self.accused = frozenset()
-        team: set[int] = set()
-        if size > 0:
-            (reference,) = yield Query([{0}], verification=False)
-            for _ in range(tries):
-                drawn = ego | set(self.rng.permutation(self.pool)[:size].tolist())
-                (view,) = yield Query([drawn])
-                if frame.similarity(view, reference) >= self.epsilon:
-                    team = drawn
-                    break
-        if team and size == len(self.pool) - self._liars():
-            self.accused = frozenset(self.pool) - team  # as many are left out as are taken to lie
-        self._learn(bool(team), tries)
+        team: Group = frozenset()
+        if self.n_attackers is None:
+            team = yield from self._probe(frame)
+        else:
+            if self.size:
+                (reference,) = yield Query([{0}], verification=False)
+                team = yield from self._sample(frame, reference, self.size, self.tries)
+            if len(team - self._ego) == len(self.pool) - self.n_attackers:
+                self.accused = frozenset(self.pool.tolist()) - team  # as many are left out as lie
         return Verdict(team or {0}, self.accused)
 
     def belief(self) -> np.ndarray:
         return np.array([float(i in self.accused) for i in range(self.n_vehicles)])
 
-    def _liars(self) -> int:
-        """How many of those who can be drawn are taken to lie."""
-        return min(self.probed if self.n_attackers is None else self.n_attackers, len(self.pool))
-
-    def _plan(self) -> tuple[int, int]:
-        """Size of a team and number of tries in this frame; no try where everyone is taken to lie."""
-        size, eta = len(self.pool) - self._liars(), self._liars() / len(self.pool)
+    def _plan(self, k: int) -> tuple[int, int]:
+        """Size of a team and most tries in a frame when k of those who can be drawn lie; none where all of them do."""
+        size = len(self.pool) - k
         if size == 0:
             return 0, 0
         if self.reading == "until_success":
             return size, MOST_TRIES
-        if self.reading == "budgeted":
-            return int(min(size, team_size(eta, self.budget, self.confidence))), self.budget
-        tries = tries_needed(eta, size, self.confidence)
-        return size, tries if self.n_attackers is not None else min(tries - self.failures, self.budget)
+        if self.reading == "replacement":
+            return size, min(self._tries_for(k), MOST_TRIES)
+        eta = k / len(self.pool)
+        affordable = team_size(eta, self.budget, self.confidence)
+        if affordable < 1:
+            raise ValueError(
+                f"a budget of {self.budget} tries does not find one honest vehicle among {len(self.pool)}, {k} lying, "
+                f"with confidence {self.confidence}; it takes {tries_needed(eta, 1, self.confidence)}"
+            )
+        return int(min(size, affordable)), self.budget
 
-    def _learn(self, passed: bool, tries: int) -> None:
-        """Probing: a number of liars is kept once a team passed, and given up when its tries are used up before."""
-        if self.n_attackers is not None:
-            return
-        self.kept = self.kept or passed
-        self.failures = 0 if self.kept else self.failures + tries
-        size = len(self.pool) - self._liars()
-        if size and self.failures >= tries_needed(self._liars() / len(self.pool), size, self.confidence):
-            self.probed, self.failures = self.probed + 1, 0
+    def _tries_for(self, k: int) -> int:
+        return tries_needed(k / len(self.pool), len(self.pool) - k, self.confidence)
+
+    def _sample(self, frame: Frame, reference: View, size: int, tries: int) -> Search:
+        """The first of so many random teams that passes; empty if none does."""
+        for _ in range(tries):
+            team = self._ego.union(self.rng.permutation(self.pool)[:size].tolist())
+            (view,) = yield Query([team])
+            if frame.similarity(view, reference) >= self.epsilon(team):
+                return team
+        return frozenset()
+
+    def _probe(self, frame: Frame) -> Search:
+        """One frame of probing: the open numbers of liars, then what is left of the budget at the number found."""
+        (reference,) = yield Query([{0}], verification=False)
+        team: Group = frozenset()
+        budget = self.budget
+        while budget and (open_ := [k for k, left in self.left.items() if left]):
+            for k in open_[:budget]:
+                budget -= 1
+                if drawn := (yield from self._sample(frame, reference, len(self.pool) - k, 1)):
+                    team, self.found = drawn, k
+                    self.left = {number: left for number, left in self.left.items() if number < k}
+                    break
+                self.left[k] -= 1
+        if not team and self.found is not None:
+            team = yield from self._sample(frame, reference, len(self.pool) - self.found, budget)
+        if team:
+            self.accused = frozenset(self.pool.tolist()) - team
+        return team
 
 
 def tries_needed(eta: float, size: int, confidence: float) -> int:
-    """N: tries after which a clean team of `size` was drawn with `confidence`, a share `eta` of liars given."""
+    """N = ⌈ln(1-confidence) / ln(1-(1-η)^s)⌉: tries that draw a clean team of s, a share η lying, with confidence."""
     clean = (1 - eta) ** size
-    return 1 if clean == 1 else math.ceil(math.log(1 - confidence) / math.log(1 - clean))
+    return 1 if clean == 1 else math.ceil(math.log(1 - confidence) / math.log1p(-clean))
 
 
 def team_size(eta: float, budget: int, confidence: float) -> float:
-    """s: the largest team of which `budget` tries find a clean one with `confidence`; unbounded if nobody lies."""
+    """s = ⌊ln(1-(1-confidence)^(1/budget)) / ln(1-η)⌋: largest team that `budget` tries draw clean; η = 0: inf."""
     if eta in (0, 1):
         return math.inf if eta == 0 else 0
     return math.floor(math.log(1 - (1 - confidence) ** (1 / budget)) / math.log(1 - eta))

@@ -15,6 +15,8 @@ from collections.abc import Mapping
 from pathlib import Path
 
 CALIBRATED = Path(__file__).with_name("thresholds.json")
+EGO_ONLY = {score: Path(__file__).with_name(f"ego_{score}.json") for score in ("agreement", "similarity")}
+"""The same for a group that holds the ego against what the ego sees alone, the reference of ROBOSAC and PASAC."""
 
 
 class Thresholds:
@@ -36,14 +38,14 @@ class Thresholds:
         return self.epsilon[min(len(group), len(self.epsilon))]
 
 
-def open_thresholds(threshold: str | Mapping[int, float], epsilon: float) -> Thresholds:
-    """`"paper"`: `epsilon` for every size; `"calibrated"`: the shipped file; or a mapping from size to ε."""
+def open_thresholds(threshold: str | Mapping[int, float], epsilon: float, calibrated: Path = CALIBRATED) -> Thresholds:
+    """`"paper"`: `epsilon` for every size; `"calibrated"`: the file of that name; or a mapping from size to ε."""
     if isinstance(threshold, Mapping):
         return Thresholds({int(size): value for size, value in threshold.items()})
     if threshold == "paper":
         return Thresholds({1: epsilon})
     if threshold == "calibrated":
-        return read_thresholds(CALIBRATED)
+        return read_thresholds(calibrated)
     raise ValueError(f'threshold must be "paper", "calibrated" or a mapping from group size to ε, got {threshold!r}')
 
 

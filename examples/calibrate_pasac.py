@@ -1,0 +1,171 @@
+"""What should pass against the ego's own view? Thresholds of ROBOSAC's and PASAC's scores, by size of the group.
+
+    python examples/calibrate_pasac.py                        # measure, print, draw
+    python examples/calibrate_pasac.py --write defenders      # and store what "calibrated" means for both defenders
+
+ROBOSAC and PASAC hold the view of the ego and some others against what the ego sees alone, by the Jaccard similarity of
+boxes (0.3 as published) or by the consistency of score maps (CCLoss, 0.08, made for segmentation). Here both are
+measured on the calibration scenes, the ego honest and PGD lying jointly in k = 0 … n - 1 of the others (Δ 0.3, 15 steps
+of 0.1). The threshold of a size is the one that errs least: the mean of "an honest group fails" and "a group with a
+liar passes", the latter averaged over the numbers of liars so that each counts alike. Groups of one are single vehicles
+other than the ego, which PASAC looks at with trust_ego=False only.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+import shlex
+import sys
+from collections import defaultdict
+from dataclasses import dataclass
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+import torch
+import tyro
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+import agents
+from cp_env.bank import SceneBank
+from cp_env.detector import load_detector
+from cp_env.intervals import t_interval
+from cp_env.scenes import open_source
+from cp_env.world import World
+from defenders.protocol import Defender, Frame, Inspection, Query, Verdict
+
+Key = tuple[int, int]  # size of the group, liars in it
+Found = dict[Key, dict[str, list[float]]]  # scores by scene
+PAPER = {"agreement": 0.08, "similarity": 0.3}
+
+
+@dataclass
+class Args:
+    scenes: str = "town/calibration"
+    n_scenes: int | None = None  # the first so many (all by default)
+    n_vehicles: int = 5
+    frames: int = 6  # of every scene
+    attack: str = "pgd"
+    seed: int = 0
+    threads: int = 1
+    out: Path = Path("out/pasac")
+    write: Path | None = None  # folder for ego_agreement.json and ego_similarity.json
+
+
+class Surveyor(Defender):
+    """An instrument, not a defence: holds every group with the ego, and every other vehicle, against the ego alone."""
+
+    def tell(self, liars: frozenset[int]) -> None:
+        self.liars = frozenset(liars)
+
+    def reset(self, n_vehicles: int, rng: np.random.Generator) -> None:
+        others = range(1, n_vehicles)
+        teams = [frozenset({0, *g}) for size in others for g in itertools.combinations(others, size)]
+        self.groups = [*teams, *(frozenset({i}) for i in others)]
+        self.measured: list[tuple[Key, dict[str, float]]] = []
+
+    def inspect(self, frame: Frame) -> Inspection:
+        alone, *views = yield Query([{0}, *self.groups], verification=False)
+        for group, view in zip(self.groups, views, strict=True):
+            scores = {score: getattr(frame, score)(view, alone) for score in PAPER}
+            self.measured.append(((len(group), len(group & self.liars)), scores))
+        return Verdict({0})
+
+
+def survey(args: Args) -> dict[str, Found]:
+    """Both scores by (size, liars) and scene."""
+    bank = SceneBank(open_source(args.scenes), load_detector())
+    found: dict[str, Found] = {score: defaultdict(lambda: defaultdict(list)) for score in PAPER}
+    jobs = list(itertools.product(bank.source.names()[: args.n_scenes], range(args.n_vehicles)))
+    for number, (name, k) in enumerate(track(jobs, "surveying")):
+        rng = np.random.default_rng([args.seed, number])
+        liars = tuple(sorted((1 + rng.permutation(args.n_vehicles - 1)[:k]).tolist()))
+        world = World(1, defender=Surveyor(), bank=bank, n_vehicles=args.n_vehicles, attackers=liars, grace_frames=0)
+        world.reset([np.random.SeedSequence([args.seed, number])], options={"scene": name})
+        attacker = agents.make(args.attack if k else "none")
+        attacker.reset(1, rng)
+        for _ in range(args.frames):
+            world.step(attacker.act(world.situation()))
+        (surveyor,) = world.defenders
+        assert isinstance(surveyor, Surveyor)
+        for key, scores in surveyor.measured:
+            for score, value in scores.items():
+                found[score][key][name].append(value)
+    return found
+
+
+def pooled(found: Found, key: Key) -> np.ndarray:
+    return np.concatenate(list(found[key].values()))
+
+
+def errors(found: Found, size: int, epsilon: float) -> tuple[float, float]:
+    """Shares of the honest groups that fail and of the groups with a liar that pass, each number of liars alike."""
+    lying = [pooled(found, key) for key in sorted(found) if key[0] == size and key[1] > 0]
+    return float((pooled(found, (size, 0)) <= epsilon).mean()), float(np.mean([(x > epsilon).mean() for x in lying]))
+
+
+def threshold(found: Found, size: int) -> float:
+    """Where honest and lying groups of this size are told apart best."""
+    values = np.concatenate([pooled(found, key) for key in found if key[0] == size])
+    grid = np.linspace(values.min(), values.max(), 201)[:-1]
+    wrong = np.array([sum(errors(found, size, e)) for e in grid])
+    best = np.flatnonzero(np.isclose(wrong, wrong.min()))
+    return round(float(grid[best].mean()), 4)  # the middle of the plateau
+
+
+def table(score: str, found: Found, epsilon: dict[int, float], args: Args) -> Table:
+    liars = range(args.n_vehicles)
+    title = f"{score} with the ego alone; errors: honest groups that fail / groups with a liar that pass"
+    shown = Table("group", *(f"{k} liars" for k in liars), "ε", "errors at ε", f"errors at {PAPER[score]}", title=title)
+    for size in sorted(epsilon):
+        means = {k: [np.mean(x) for x in found[size, k].values()] for k in liars if (size, k) in found}
+        cells = [f"{t_interval(means[k]):.3f}" if k in means else "–" for k in liars]
+        rates = ["{:.2f} / {:.2f}".format(*errors(found, size, e)) for e in (epsilon[size], PAPER[score])]
+        shown.add_row(str(size), *cells, f"{epsilon[size]:.3f}", *rates)
+    return shown
+
+
+def draw(found: dict[str, Found], epsilon: dict[str, dict[int, float]], args: Args) -> Path:
+    sizes = range(2, args.n_vehicles + 1)
+    figure, grid = plt.subplots(len(PAPER), len(sizes), figsize=(3.2 * len(sizes), 6.2), layout="constrained")
+    colours = plt.get_cmap("viridis")(np.linspace(0, 0.9, args.n_vehicles))
+    for (score, by_key), row in zip(found.items(), grid, strict=True):
+        edges = np.linspace(0, max(pooled(by_key, key).max() for key in by_key) * 1.02, 26)
+        for size, axis in zip(sizes, row, strict=True):
+            for k in range(args.n_vehicles):
+                if (size, k) in by_key:
+                    values = pooled(by_key, (size, k))
+                    axis.hist(
+                        values, edges, density=True, histtype="step", lw=1.8, color=colours[k], label=f"{k} liars"
+                    )
+            axis.axvline(PAPER[score], color="grey", ls=":", label="as published")
+            axis.axvline(epsilon[score][size], color="crimson", ls="--", label="calibrated")
+            axis.set(title=f"the ego and {size - 1} more", xlabel=f"{score} with the ego alone")
+        row[0].set_ylabel("density")
+        row[-1].legend(fontsize=8)
+    args.out.mkdir(parents=True, exist_ok=True)
+    path = args.out / "ego_only.png"
+    figure.savefig(path, dpi=110)
+    return path
+
+
+def main(args: Args) -> None:
+    torch.set_num_threads(args.threads)
+    found = survey(args)
+    sizes = range(1, args.n_vehicles + 1)
+    epsilon = {score: {size: threshold(by_key, size) for size in sizes} for score, by_key in found.items()}
+    console = Console(width=170)
+    console.print(*(table(score, found[score], epsilon[score], args) for score in PAPER), sep="\n")
+    console.print("drawn:", str(draw(found, epsilon, args)))
+    source = f"{args.scenes}, detector {load_detector().digest}, {args.attack}, {args.frames} frames a scene"
+    command = shlex.join(["python", *sys.argv])
+    for score in PAPER if args.write else ():
+        text = json.dumps({"source": source, "command": command, "epsilon": epsilon[score]}, indent=1)
+        (args.write / f"ego_{score}.json").write_text(text + "\n", encoding="utf-8")  # type: ignore[operator]
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Args, description=__doc__))

@@ -1,0 +1,211 @@
+"""How many verifications does a frame cost? Table 2 of the PRBI paper, ours beside the paper's.
+
+    python examples/reproduce/verification_counts.py                     # perfect verifier, 20,000 episodes a row
+    python examples/reproduce/verification_counts.py --detector          # the shipped detector under PGD, a few scenes
+
+ROBOSAC (reading "until_success", k known) and PASAC trust the ego and cannot work without: as published, k of its n
+collaborators lie, so there are n + 1 vehicles. PRBI trusts nobody: k of n vehicles lie, the ego perhaps among them. A
+frame counts if somebody lies in it; ROBOSAC and PASAC begin anew in every frame, so each is an episode to them, while
+PRBI is shown by its first abnormal frame and by the mean over its frames to convergence. "exact" is worked out, not
+played: C(n, k) teams of n - k hold one clean one, so ROBOSAC's tries are geometric with that mean and no maximum; PASAC
+is averaged over all sets of liars. The paper's maxima of ROBOSAC are those of some hundred frames.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+import tyro
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+import defenders
+from cp_env.intervals import Interval, bootstrap_interval
+from defenders.pasac import halves
+from defenders.perfect import Terms
+from defenders.tally import play_many
+
+ROWS = ("ROBOSAC", "PASAC", "PRBI, first abnormal frame", "PRBI, all frames")
+PAPER = {  # of n = 5, k = 1 … 4: least, most, mean
+    "ROBOSAC": ((1, 19, 4.89), (1, 39, 10.36), (1, 46, 8.29), (1, 17, 4.73)),
+    "PASAC": ((4, 6, 4.79), (4, 8, 6.60), (6, 8, 7.59), (8, 8, 8.00)),
+    "PRBI, first abnormal frame": ((2, 2, 2.00), (2, 4, 2.88), (2, 6, 4.06), (2, 8, 5.70)),  # its Table 4
+    "PRBI, all frames": ((2, 2, 2.00), (2, 4, 2.35), (2, 6, 2.61), (2, 8, 2.86)),
+}
+ROUND = 100  # frames in which the same vehicles lie, where every frame counts as an episode
+MOST_FRAMES = 200  # for PRBI to converge
+COLOURS = dict(zip(ROWS, ("tab:orange", "tab:green", "tab:blue", "tab:purple"), strict=True))
+
+
+@dataclass(frozen=True)
+class Args:
+    n: int = 5
+    """those who can lie: ROBOSAC's and PASAC's collaborators, PRBI's vehicles"""
+    episodes: int = 20_000
+    """for each row and k, with the perfect verifier"""
+    rows: tuple[str, ...] = ROWS
+    seed: int = 0
+    detector: bool = False
+    """count on the shipped detector instead, PGD lying"""
+    scenes: str = "town/test"
+    n_scenes: int = 3
+    frames: int = 10
+    """of every scene, with the detector"""
+    threads: int = 1
+    out: Path = Path("out/verifications")
+
+
+def make(row: str, k: int, args: Args) -> tuple[defenders.Defender, int, tuple[int, ...]]:
+    """The defender of a row, how many vehicles it takes, and who of them is trusted."""
+    if row == "ROBOSAC":
+        return defenders.make("robosac", reading="until_success", n_attackers=k), args.n + 1, (0,)
+    if row == "PASAC":
+        return defenders.make("pasac"), args.n + 1, (0,)
+    return defenders.make("prbi"), args.n, ()
+
+
+def count(row: str, k: int, args: Args) -> np.ndarray:
+    """Verifications under a perfect verifier, [episodes, frames]; -1 behind the end of an episode."""
+    defender, n_vehicles, honest = make(row, k, args)
+    frames = {"PRBI, first abnormal frame": 1, "PRBI, all frames": MOST_FRAMES}.get(row, ROUND)
+    terms = Terms(n_vehicles=n_vehicles, n_liars=k, honest=honest, max_frames=frames)
+    episodes = args.episodes if row.startswith("PRBI") else math.ceil(args.episodes / ROUND)
+    return play_many(defender, terms, episodes=episodes, seed=args.seed).verifications
+
+
+def count_on_detector(row: str, k: int, args: Args) -> np.ndarray:
+    """The same on the shipped detector, a scene an episode, PGD lying in k vehicles from the second frame on."""
+    import torch
+
+    import agents
+    from cp_env.bank import SceneBank
+    from cp_env.detector import load_detector
+    from cp_env.scenes import open_source
+    from cp_env.world import World
+
+    torch.set_num_threads(args.threads)
+    bank = SceneBank(open_source(args.scenes), load_detector())
+    counts = np.full((args.n_scenes, args.frames - 1), -1)
+    for number, scene in enumerate(bank.source.names()[: args.n_scenes]):
+        rng = np.random.default_rng([args.seed, number, k])
+        defender, n_vehicles, honest = make(row, k, args)
+        liars = tuple(sorted((len(honest) + rng.permutation(n_vehicles - len(honest))[:k]).tolist()))
+        world = World(1, defender=defender, bank=bank, n_vehicles=n_vehicles, attackers=liars, max_frames=args.frames)
+        world.reset([np.random.SeedSequence([args.seed, number, k])], options={"scene": scene})
+        attacker = agents.make("pgd")
+        attacker.reset(1, rng)
+        for frame in range(args.frames):
+            outcome = world.step(attacker.act(world.situation()))
+            if frame:
+                counts[number, frame - 1] = outcome.verifications[0]
+            if outcome.verdicts[0].converged or (frame == 1 and row == "PRBI, first abnormal frame"):
+                break
+    return counts
+
+
+def pooled(counts: np.ndarray) -> np.ndarray:
+    """An entry a frame."""
+    return counts[counts >= 0]
+
+
+def mean(counts: np.ndarray, seed: int) -> Interval:
+    """Over all frames; the interval is over episodes, the frames of one being alike."""
+    played = counts >= 0
+    totals, frames = np.where(played, counts, 0).sum(axis=1), played.sum(axis=1)
+    return bootstrap_interval(lambda i: float(totals[i].sum() / frames[i].sum()), len(counts), seed=seed)
+
+
+def exact(row: str, n: int, k: int) -> float | None:
+    """The expectation under a perfect verifier, where it can be worked out."""
+    if row == "ROBOSAC":
+        return float(math.comb(n, k))
+    if row == "PASAC":
+        return float(np.mean([looks(list(range(n)), set(liars)) for liars in itertools.combinations(range(n), k)]))
+    return None
+
+
+def looks(members: list[int], liars: set[int]) -> int:
+    """Halves that PASAC looks at below a part that failed."""
+    if len(members) < 2:
+        return 0
+    return sum(1 + (looks(half, liars) if liars.intersection(half) else 0) for half in halves(members))
+
+
+def main(args: Args) -> None:
+    measure, verifier = (count_on_detector, "shipped detector, PGD") if args.detector else (count, "perfect verifier")
+    counts: dict[tuple[str, int], np.ndarray] = {}
+    for row, k in track(list(itertools.product(args.rows, range(1, args.n))), "counting", transient=True):
+        counts[row, k] = measure(row, k, args)
+    means = {key: mean(table, args.seed) for key, table in counts.items()}
+    console = Console(width=120)
+    console.print(beside_the_paper(counts, means, args, f"{verifier}, n = {args.n}"))
+    args.out.mkdir(parents=True, exist_ok=True)
+    stem = args.out / ("detector" if args.detector else "perfect")
+    rows = [
+        {
+            "defender": row,
+            "k": k,
+            **asdict(means[row, k]),
+            "least": int(c.min()),
+            "most": int(c.max()),
+            "frames": c.size,
+        }
+        for (row, k), c in ((key, pooled(table)) for key, table in counts.items())
+    ]
+    stem.with_suffix(".json").write_text(json.dumps({"verifier": verifier, "rows": rows}, indent=1) + "\n")
+    console.print("drawn:", str(draw(counts, means, args, stem.with_suffix(".png"), verifier)))
+
+
+def beside_the_paper(
+    counts: dict[tuple[str, int], np.ndarray], means: dict[tuple[str, int], Interval], args: Args, title: str
+) -> Table:
+    table = Table("", "k", "mean [95 %]", "exact", "min", "max", "paper: mean", "min", "max", title=title)
+    for row, k in counts:
+        frames, worked = pooled(counts[row, k]), exact(row, args.n, k)
+        least, most, average = PAPER[row][k - 1] if args.n == 5 else ("", "", "")
+        ours = f"{means[row, k]:.2f}", "" if worked is None else f"{worked:.2f}", frames.min(), frames.max()
+        cells = map(str, (*ours, average, least, most))
+        table.add_row(row if k == 1 else "", str(k), *cells, end_section=k == args.n - 1)
+    return table
+
+
+def draw(
+    counts: dict[tuple[str, int], np.ndarray],
+    means: dict[tuple[str, int], Interval],
+    args: Args,
+    path: Path,
+    verifier: str,
+) -> Path:
+    figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.4), layout="constrained")
+    liars, middle = np.arange(1, args.n), args.n // 2
+    for shift, row in zip(np.linspace(-0.12, 0.12, len(args.rows)), args.rows, strict=True):
+        ours = [means[row, k] for k in liars]
+        reach = [[i.mean - i.low for i in ours], [i.high - i.mean for i in ours]]
+        style = {"color": COLOURS[row], "label": row}
+        left.errorbar(liars + shift, [i.mean for i in ours], reach, fmt="o-", ms=4, capsize=3, **style)
+        if args.n == 5:
+            left.plot(liars + shift, [average for *_, average in PAPER[row]], "x", ms=8, color=COLOURS[row])
+        values = np.sort(pooled(counts[row, middle]))
+        right.step(values, 1 - np.arange(len(values)) / len(values), where="pre", **style)
+    if args.n == 5:
+        left.plot([], [], "x", ms=8, color="grey", label="the paper's")
+    left.set(xlabel="liars k", ylabel="verifications a frame, mean", xticks=liars, ylim=(0, None))
+    left.set_title(f"n = {args.n}, 95 % intervals over episodes")
+    left.legend(fontsize=9)
+    right.set(xlabel="verifications in a frame, x", ylabel="share of frames with x or more", yscale="log")
+    right.set_title(f"k = {middle} of n = {args.n}")
+    figure.suptitle(f"Cost of a frame, {verifier}")
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
+    return path
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Args, description=__doc__))
