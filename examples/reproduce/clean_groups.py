@@ -120,7 +120,7 @@ def main(args: Args) -> None:
     axes[0].set_ylabel("η: share of looks that were normal")
     axes[-1].plot([], [], "k:", lw=1, label="2^-k")
     axes[-1].plot([], [], "x", color="grey", ms=9, mew=2.5, label="the paper's")
-    axes[-1].legend(fontsize=9)
+    figure.legend(*axes[-1].get_legend_handles_labels(), loc="outside right center", fontsize=9)
     args.out.mkdir(parents=True, exist_ok=True)
     figure.savefig(args.out / "clean_groups.png", dpi=110)
     Console(width=110).print(table, "drawn: " + str(args.out / "clean_groups.png"), sep="\n")
