@@ -13,12 +13,24 @@ import copy
 from collections.abc import Callable, Collection
 from typing import Any
 
+from cp_env.testing.detector import DetectorRuleBroken, check_detector
 from cp_env.testing.generic import GENERIC, Rule
 from cp_env.testing.house import HOUSE, is_ours
 from cp_env.testing.rollout import Case, Env, Violation
 from cp_env.testing.scenes import LAWS, LawBroken, check_scenes
 
-__all__ = ["GENERIC", "HOUSE", "LAWS", "LawBroken", "Rule", "RuleBroken", "check_env", "check_scenes"]
+__all__ = [
+    "GENERIC",
+    "HOUSE",
+    "LAWS",
+    "DetectorRuleBroken",
+    "LawBroken",
+    "Rule",
+    "RuleBroken",
+    "check_detector",
+    "check_env",
+    "check_scenes",
+]
 
 
 class RuleBroken(AssertionError):

@@ -7,7 +7,7 @@ nothing folded, nothing shared. Maps stay in coperception's own layout. `random_
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 import shapely
@@ -205,25 +205,24 @@ def shapes(fusion: str) -> Iterator[tuple[str, tuple[int, ...]]]:
     yield "regression.box_prediction.0", (32, 32, 3, 3)
     yield "regression.box_prediction.1", (32,)
     yield "regression.box_prediction.3", (36, 32, 1, 1)
-    if fusion == "disconet":
-        for number, (into, out) in enumerate(((512, 128), (128, 32), (32, 8), (8, 1)), start=1):
-            yield f"pixel_weighted_fusion.conv1_{number}", (out, into, 1, 1)
-            if out > 1:
-                yield f"pixel_weighted_fusion.bn1_{number}", (out,)
 
 
-def random_state(fusion: str = "mean", seed: int = 0, *, rarity: float = 3.0) -> State:
-    """Random weights with the names and shapes of a checkpoint; vehicles are as rare as `rarity` (log-odds) says.
+def judge_shapes() -> Iterator[tuple[str, tuple[int, ...]]]:
+    """The same of DiscoNet's own part."""
+    for number, (into, out) in enumerate(((512, 128), (128, 32), (32, 8), (8, 1)), start=1):
+        yield f"pixel_weighted_fusion.conv1_{number}", (out, into, 1, 1)
+        if out > 1:
+            yield f"pixel_weighted_fusion.bn1_{number}", (out,)
 
-    `fusion="none"` makes the model that shares nothing (`stpn`).
-    """
-    generator = torch.Generator().manual_seed(seed)
+
+def _filled(shapes: Iterable[tuple[str, tuple[int, ...]]], generator: torch.Generator) -> State:
+    """Random numbers that keep activations at about one."""
 
     def normal(*shape: int) -> Tensor:
         return torch.randn(shape, generator=generator)
 
     state: State = {}
-    for name, shape in shapes(fusion):
+    for name, shape in shapes:
         if len(shape) == 1:
             state[f"{name}.weight"], state[f"{name}.bias"] = 1 + 0.1 * normal(*shape), 0.1 * normal(*shape)
             state[f"{name}.running_mean"] = 0.1 * normal(*shape)
@@ -232,10 +231,34 @@ def random_state(fusion: str = "mean", seed: int = 0, *, rarity: float = 3.0) ->
         else:
             state[f"{name}.weight"] = normal(*shape) * math.sqrt(2 / math.prod(shape[1:]))
             state[f"{name}.bias"] = 0.05 * normal(shape[0])
-    if fusion == "v2vnet":
-        state["convgru.weight_ih_l0"] = normal(768, 512, 3, 3) * math.sqrt(1 / (512 * 9))
-        state["convgru.weight_hh_l0"] = normal(768, 256, 3, 3) * 0.02
-        state["convgru.bias_ih_l0"], state["convgru.bias_hh_l0"] = 0.1 * normal(768), 0.1 * normal(768)
+    return state
+
+
+def fusion_state(fusion: str, seed: int = 1) -> State:
+    """Random weights of what a learned fusion adds to the model; nothing for the others."""
+    generator = torch.Generator().manual_seed(seed)
+    if fusion == "disconet":
+        return _filled(judge_shapes(), generator)
+    if fusion != "v2vnet":
+        return {}
+    of_input, of_hidden, *biases = (
+        torch.randn(shape, generator=generator) for shape in ((768, 512, 3, 3), (768, 256, 3, 3), (768,), (768,))
+    )
+    return {
+        "convgru.weight_ih_l0": of_input / math.sqrt(512 * 9),
+        "convgru.weight_hh_l0": of_hidden / math.sqrt(256 * 9),
+        "convgru.bias_ih_l0": 0.1 * biases[0],
+        "convgru.bias_hh_l0": 0.1 * biases[1],
+    }
+
+
+def random_state(fusion: str = "mean", seed: int = 0, *, rarity: float = 3.0) -> State:
+    """Random weights with the names and shapes of a checkpoint; vehicles are as rare as `rarity` (log-odds) says.
+
+    `fusion="none"` makes the model that shares nothing (`stpn`).
+    """
+    state = {} if fusion == "none" else fusion_state(fusion, seed + 1)
+    state |= _filled(shapes(fusion), torch.Generator().manual_seed(seed))
     state["classification.conv2.bias"][::2] += rarity
     upright = torch.tensor([0.0, 0.0, 0.0, 0.0, 0.0, 1.0]).repeat(6)
     state["regression.box_prediction.3.weight"] *= 0.2

@@ -99,7 +99,7 @@ def read(path: str | Path) -> Weights:
         raise ValueError(f"no checkpoint at {path}: the file is missing")
     try:
         content = torch.load(path, map_location="cpu", weights_only=True)
-    except (pickle.UnpicklingError, RuntimeError, EOFError, ValueError) as error:
+    except (pickle.UnpicklingError, RuntimeError, OSError, EOFError, ValueError) as error:
         raise ValueError(
             f"cannot read the checkpoint {path}: {error}\nIf it is whole, it holds objects that are not run here. "
             'Where you trust it, keep the weights alone: torch.save({"model_state_dict": torch.load(path, '
