@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 
 import pytest
+from pytest_benchmark.fixture import BenchmarkFixture
 
 import defenders
 from defenders.perfect import Terms
@@ -14,7 +15,7 @@ EPISODES = 200
 
 
 @pytest.mark.parametrize("name", defenders.names())
-def test_episodes(benchmark, name: str) -> None:  # type: ignore[no-untyped-def]
+def test_episodes(benchmark: BenchmarkFixture, name: str) -> None:
     terms, defender = Terms(n_vehicles=5, n_liars=2, max_frames=10), defenders.make(name)
     start = time.process_time()
     tally = benchmark.pedantic(
