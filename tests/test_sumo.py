@@ -145,7 +145,7 @@ def same(a: Scene, b: Scene) -> bool:
 
 
 def test_scenes_keep_every_law(furnished: LiveSumo) -> None:
-    assert "pickling_changes_nothing" in check_scenes(furnished, scenes=2, frames=2)
+    assert "pickling_changes_nothing" in check_scenes(furnished, scenes=1, frames=2)
 
 
 def test_a_scene_follows_from_its_number_in_whatever_order(furnished: LiveSumo, grid: Path) -> None:
@@ -183,11 +183,12 @@ def test_processes_run_side_by_side(furnished: LiveSumo) -> None:
 def test_buildings_take_the_place_of_houses(grid: Path, tmp_path: Path) -> None:
     net = tmp_path / "g.net.xml"
     net.write_bytes(grid.read_bytes())
-    block = '<additional><poly id="b" type="building" shape="15,15 65,15 65,65 15,65"/></additional>'
-    (tmp_path / "g.poly.xml").write_text(block)
+    squares = [f"{x},{y} {x + 50},{y} {x + 50},{y + 50} {x},{y + 50}" for x in (15, 95) for y in (15, 95)]
+    polygons = "".join(f'<poly id="{k}" type="building" shape="{shape}"/>' for k, shape in enumerate(squares))
+    (tmp_path / "g.poly.xml").write_text(f"<additional>{polygons}</additional>")
     source = LiveSumo(net, furnish="none", warm_up=20.0, vehicles=3)
     scene = source.load(source.names()[0])
-    assert len(scene.obstacles) == 1 and np.allclose(scene.obstacles[0, 3:], [50, 50, sumo_files.HEIGHT])
+    assert 1 <= len(scene.obstacles) <= 4 and np.allclose(scene.obstacles[:, 3:], [50, 50, sumo_files.HEIGHT])
     standing = np.ptp(scene.pose[..., :2], axis=0).max(axis=1) == 0
     assert not standing.all(), "nobody is parked; some may wait"
     assert source.digest != LiveSumo(net, furnish="none", warm_up=20.0, vehicles=3, polygons=grid).digest
@@ -232,7 +233,7 @@ def test_what_cannot_be_cast_or_driven_is_told(grid: Path, tmp_path: Path, monke
     )
     with pytest.raises(ValueError, match="SUMO refused"):
         LiveSumo(tmp_path / "bad.sumocfg").load("bad-000000")
-    assert LiveSumo(grid, warm_up=20.0).load("g-000000").n_frames == 100, "and the next simulation runs"
+    assert LiveSumo(grid, warm_up=20.0, vehicles=2).load("g-000000").n_frames == 100, "and the next simulation runs"
     for options, told in (
         ({"density": 0.0}, "density must be above 0"),
         ({"share": 1.5}, r"share in \(0, 1\]"),

@@ -53,6 +53,7 @@ def drive(
     seconds: float = 90.0,
 ) -> Tracks:
     """Simulate `warm_up` + `seconds` s with at most `crowd` vehicles at once; the last `seconds` are kept."""
+    _simulator()  # before anything is written
     sizes = draw_sizes(N_TYPES, rng, parked=False)
     routes = folder / "trips.rou.xml"
     _write_trips(routes, streets, sizes, rng, horizon=warm_up + seconds)
