@@ -22,6 +22,14 @@ from cp_env.scenes.v2xsim_stage import BARE, RSU, STRAY
 
 AGENTS = 6
 REACH = 5.0  # m; a vehicle is at most so far from where its last two places would have it
+_KEYS = (
+    "voxel_indices_0",
+    "trans_matrices",
+    "reg_target_sparse",
+    "label_sparse",
+    "allocation_mask",
+    "target_agent_id",
+)
 HEIGHT = BARE[2]  # m; the files do not tell a vehicle's height
 
 
@@ -36,51 +44,62 @@ class Reel:
     size: Float[np.ndarray, "M 2"]  # length, width
 
 
-def read_frame(path: Path, agent: int) -> dict[str, Any] | None:
-    """The arrays of one agent in one frame; None if it is absent.
+def read_points(path: Path, agent: int) -> Float[np.ndarray, "P 3"]:
+    """The middles of the voxels an agent found occupied, in its sensor's frame; m.
 
     Raises:
-        BrokenData: the file is missing, of another kind, or holds numbers that cannot be.
+        BrokenData: the file is missing, of another kind, or holds no points.
     """
+    content = _open(path)
+    if content is None:
+        raise BrokenData(path, "the agent is absent here, it was not when the scene was put together")
+    return _points(path, content, agent)
+
+
+def _open(path: Path) -> dict[str, Any] | None:
+    """What a file holds; None if the agent is absent."""
     content = load_pickled(path)
     if isinstance(content, np.integer | int) and content == 0:
         return None
     if not isinstance(content, dict):
         raise BrokenData(path, f"it holds a {type(content).__name__}; a dict of arrays or 0 is expected")
+    missing = [key for key in _KEYS if key not in content]
+    if missing:
+        raise BrokenData(path, f"it lacks {missing[0]!r}")
+    return content
+
+
+def _points(path: Path, content: dict[str, Any], agent: int) -> Float[np.ndarray, "P 3"]:
+    voxels = np.asarray(content["voxel_indices_0"])
+    if voxels.ndim != 2 or voxels.shape[1] != 3 or not len(voxels):
+        raise BrokenData(path, "an empty sweep")
     try:
-        voxels = np.asarray(content["voxel_indices_0"])
-        poses = np.asarray(content["trans_matrices"], dtype=np.float64)
-        targets = np.asarray(content["reg_target_sparse"], dtype=np.float64)
-        allocated = np.asarray(content["allocation_mask"], dtype=bool)
-        labels = np.asarray(content["label_sparse"])
-        owner = int(content["target_agent_id"])
-    except (KeyError, ValueError, TypeError) as error:
-        raise BrokenData(path, f"it lacks {error}, or holds it in another form") from error
+        return voxel_points(voxels, rsu=agent == RSU)
+    except ValueError as error:
+        raise BrokenData(path, str(error)) from error
+
+
+def _pose(path: Path, content: dict[str, Any], agent: int) -> Float[np.ndarray, "3 4"]:
+    """Of the sensor in the frame of the road-side unit's."""
+    owner, poses = content["target_agent_id"], np.asarray(content["trans_matrices"], dtype=np.float64)
     if owner != agent:
         raise BrokenData(path, f"it is of agent {owner}, not {agent}")
     if poses.shape != (AGENTS, 4, 4) or not poses[RSU].any():
         raise BrokenData(path, "trans_matrices lack the road-side unit: V2X-Sim 1.0? Version 2.0 is read")
     if not np.isfinite(poses).all():
         raise BrokenData(path, "trans_matrices hold a pose that is no finite number")
+    return rigid.inverse(poses[RSU, :3])
+
+
+def _boxes(path: Path, content: dict[str, Any]) -> Float[np.ndarray, "L 5"]:
+    """Those that anchors were given, in the sensor's frame."""
+    targets = np.asarray(content["reg_target_sparse"], dtype=np.float64)
+    allocated, labels = np.asarray(content["allocation_mask"], dtype=bool), np.asarray(content["label_sparse"])
     if allocated.shape != (CELLS, CELLS, len(ANCHORS)) or not len(targets) == len(labels) == allocated.sum():
         raise BrokenData(path, "its targets are not those of six anchors a cell on 256 × 256 cells")
     if not np.isfinite(targets).all():
         raise BrokenData(path, "reg_target_sparse holds a box that is no finite number")
-    if voxels.ndim != 2 or voxels.shape[1] != 3 or not len(voxels):
-        raise BrokenData(path, "an empty sweep")
-    return {
-        "voxels": voxels,
-        "rsu_T_own": rigid.inverse(poses[RSU, :3]),
-        "boxes": decode(targets.reshape(-1, 6), allocated, labels),
-    }
-
-
-def read_points(path: Path, agent: int) -> Float[np.ndarray, "P 3"]:
-    """The occupied voxels' middles in the sensor's frame; m. Raises BrokenData as `read_frame`, or if absent."""
-    frame = read_frame(path, agent)
-    if frame is None:
-        raise BrokenData(path, "the agent is absent here, it was not when the scene was put together")
-    return _points(path, frame["voxels"], agent)
+    return decode(targets.reshape(-1, 6), allocated, labels)
 
 
 def read_reel(paths: Sequence[Sequence[Path | None]]) -> Reel:
@@ -92,13 +111,13 @@ def read_reel(paths: Sequence[Sequence[Path | None]]) -> Reel:
     for t, row in enumerate(paths):
         seen = []
         for agent, path in enumerate(row):
-            frame = None if path is None else read_frame(path, agent)
-            if path is None or frame is None:
+            content = None if path is None else _open(path)
+            if path is None or content is None:
                 continue
-            world_T_sensor[t, agent] = frame["rsu_T_own"]
-            _points(path, frame["voxels"], agent)
-            slices[agent] += np.bincount(frame["voxels"][:, 2], minlength=SLICES)
-            seen.append(_in_world(frame["boxes"], frame["rsu_T_own"]))
+            world_T_sensor[t, agent] = _pose(path, content, agent)
+            _points(path, content, agent)
+            slices[agent] += np.bincount(content["voxel_indices_0"][:, 2], minlength=SLICES)
+            seen.append(_in_world(_boxes(path, content), world_T_sensor[t, agent]))
         boxes.append(distinct(np.concatenate(seen)) if seen else np.zeros((0, 5)))
     there = ~np.isnan(world_T_sensor[..., 0, 0]).any(axis=0)
     agents = np.array([k for k in range(AGENTS) if k != RSU and there[k]], dtype=np.int64)
@@ -115,13 +134,6 @@ def read_reel(paths: Sequence[Sequence[Path | None]]) -> Reel:
         np.concatenate([own, pose], axis=1),
         np.concatenate([own_size, size]),
     )
-
-
-def _points(path: Path, voxels: Int[np.ndarray, "P 3"], agent: int) -> Float[np.ndarray, "P 3"]:
-    try:
-        return voxel_points(voxels, rsu=agent == RSU)
-    except ValueError as error:
-        raise BrokenData(path, str(error)) from error
 
 
 def _in_world(boxes: Float[np.ndarray, "L 5"], world_T_sensor: Float[np.ndarray, "3 4"]) -> Float[np.ndarray, "L 5"]:
