@@ -189,6 +189,7 @@ class OPV2V:
         gap = np.linalg.norm(origins[:, None, :, :2] - world_T_lidar[:, :, None, :2, 3], axis=-1)
         ground = np.take_along_axis(origins[..., 2], np.nanargmin(gap, axis=2), axis=1)
         if scenario.rsu is not None:
+            ground[:, -1] = np.median(ground[:, -1])  # it stands still, whoever drives by
             mast = world_T_lidar[0, -1, :, 3] - [0.0, 0.0, ground[0, -1]]
             scene = replace(scene, rsu=mast)
         files = tuple(tuple(scenario.file(agent, number, ".pcd") for agent in scenario.agents) for number in numbers)
