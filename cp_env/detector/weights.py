@@ -24,7 +24,6 @@ def names() -> list[str]:
     return sorted(path.stem for path in FOLDER.glob("*.safetensors"))
 
 
-@lru_cache(maxsize=4)
 def load_detector(name: str = "mean", device: str = "cpu") -> Detector:
     """The trained detector of that name, frozen; the same object each time it is asked for.
 
@@ -33,6 +32,11 @@ def load_detector(name: str = "mean", device: str = "cpu") -> Detector:
     """
     if name not in FUSIONS:
         raise ValueError(f"unknown detector {name!r}; known: {', '.join(FUSIONS)}")
+    return _loaded(name, str(device))
+
+
+@lru_cache(maxsize=8)
+def _loaded(name: str, device: str) -> Detector:
     return read_detector(FOLDER / f"{name}.safetensors").to(device).freeze()
 
 

@@ -39,7 +39,7 @@ from cp_env.types import SceneSource
 from cp_env.world import World
 
 CONDITIONS = {"upper bound": "none", "lower bound": "none", "BIM": "bim", "C&W": "cw", "PGD": "pgd"}
-KINDS = ("urban", "suburban", "intersection")
+KINDS = {"urban": "tab:blue", "suburban": "tab:orange", "intersection": "tab:green"}  # and their colours
 Values = dict[str, list[float]]  # similarities to the output, and to the honest view, of the frame before
 Found = dict[tuple[str, str, str], list[Values]]  # by fusion, condition and kind; one entry a scene
 
@@ -136,7 +136,7 @@ def draw(found: Found, args: Args, path: Path) -> Path:
     bins = np.linspace(0, 1, 21)
     for (row, fusion), (column, condition) in itertools.product(enumerate(args.fusions), enumerate(CONDITIONS)):
         axis = axes[row, column]
-        for kind, colour in zip(KINDS, ("tab:blue", "tab:orange", "tab:green"), strict=True):
+        for kind, colour in KINDS.items():
             values = np.concatenate([scene["to_output"] for scene in found[fusion, condition, kind]])
             share = np.full(len(values), 1 / len(values))
             axis.hist(values, bins, weights=share, histtype="step", lw=1.8, color=colour, label=kind)
