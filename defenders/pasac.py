@@ -68,7 +68,7 @@ class Pasac(Defender):
         ego: Group = frozenset({0}) if self.trust_ego else frozenset()
         (reference,) = yield Query([{0}], verification=False)
         order = self.rng.permutation(np.arange(len(ego), self.n_vehicles)).tolist()
-        accepted, failed = set(ego), set()
+        accepted, failed = set(ego), set[int]()
         parts = [order] if self.visit_all or len(order) == 1 else halves(order)
         while parts and (self.n_upper is None or len(accepted - ego) < self.n_upper):
             now, parts = (parts, []) if self.n_upper is None else (parts[:1], parts[1:])

@@ -75,14 +75,20 @@ def limit(split: str, n: int, k: int) -> float:
     clean = looked = 0.0
     for group in itertools.product((False, True), repeat=n):
         size = sum(group)
-        weight = {
-            "coin": 0.5**n,
-            "half": np.mean([size == n // 2, size == n - n // 2]) / math.comb(n, size),
-            "even": (0 < size < n) / (n - 1) / math.comb(n, size),
-        }[split]
-        looked += weight * (size > 0)
-        clean += weight * (size > 0 and not any(group[:k]))
-    return float(clean / looked)
+        if size:
+            weight = chance_of_size(split, size, n) / math.comb(n, size)
+            looked += weight
+            clean += weight * (not any(group[:k]))
+    return clean / looked
+
+
+def chance_of_size(split: str, size: int, n: int) -> float:
+    """That either group of a split, drawn at random of the two, is of this size."""
+    if split == "coin":
+        return math.comb(n, size) / 2**n
+    if split == "half":
+        return ((size == n // 2) + (size == n - n // 2)) / 2
+    return (size < n) / (n - 1)
 
 
 def settled(eta: Float[np.ndarray, "E T"], target: float, band: float) -> Float[np.ndarray, " E"]:

@@ -188,7 +188,7 @@ def draw(
     figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.4), layout="constrained")
     liars, middle = np.arange(1, args.n), args.n // 2
     for shift, row in zip(np.linspace(-0.12, 0.12, len(args.rows)), args.rows, strict=True):
-        ours = [means[row, k] for k in liars]
+        ours = [means[row, k] for k in range(1, args.n)]
         reach = [[i.mean - i.low for i in ours], [i.high - i.mean for i in ours]]
         style = {"color": COLOURS[row], "label": row}
         left.errorbar(liars + shift, [i.mean for i in ours], reach, fmt="o-", ms=4, capsize=3, **style)
