@@ -110,8 +110,7 @@ class Prbi(Defender):
         self.order = self._argsort()
         self.searched = False  # the divide and conquer belongs to the first abnormal frame
         self.proof = Proof(n)
-        self.stalled = False  # whether the last frame proved nothing
-        self.lost = 0  # abnormal frames running in which no group passed
+        self.stalled = False  # whether the last abnormal frame proved nothing
 
     def inspect(self, frame: Frame) -> Inspection:
         if self.reference is None:
@@ -175,7 +174,7 @@ class Prbi(Defender):
         """argsort(P_benign). Of equals, those convicted before come first, and the rest as `reading.ties` says."""
         n = len(self.everyone)
         ties = self.rng.permutation(n) if self.reading.ties == "random" else np.arange(n)
-        unknown = [i not in self.known for i in ties.tolist()]
+        unknown = np.array([i not in self.known for i in ties.tolist()])
         order: np.ndarray = ties[np.lexsort((unknown, self.probability[ties]))]
         return order
 

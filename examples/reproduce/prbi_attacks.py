@@ -62,8 +62,8 @@ PRBI = ("prbi", "prbi:rearm=True", "prbi:stopping=robust", "prbi:stopping=robust
 
 @dataclass
 class Args:
-    episodes: int = 300
-    """of each situation; of 1,000 frames, one in thirty of them"""
+    episodes: int = 100
+    """of each situation; of those of 1,000 frames, one in 25"""
     seed: int = 0
     defenders: tuple[str, ...] = PRBI
     out: Path = Path("out/prbi/attacks.json")
@@ -111,7 +111,7 @@ def main(args: Args) -> None:
         shares = [f"{x:.2f}" if x is not None else "–" for x in (row.sure, row.right, row.ID, row.MC)]
         figures = [*shares, f"{row.fooled:.1f}", f"{row.looks:.2f}", str(row.most)]
         table.add_row(situation, name, *figures, end_section=i % len(args.defenders) == 0)
-    Console().print(table)
+    Console(width=120).print(table)
     args.out.parent.mkdir(parents=True, exist_ok=True)
     args.out.write_text(json.dumps({key: vars(row) for key, row in rows.items()}, indent=1) + "\n")
     print("written:", args.out)

@@ -114,20 +114,20 @@ def short(interval: Interval, digits: int = 0) -> str:
 
 def all_readings(args: Args) -> Table:
     readings = [Reading(split, refresh) for split in SPLITS for refresh in (False, True)]
-    readings += [Reading(second="nearest"), Reading(second="ceiling")]
-    columns = ("split", "refresh", "second", *(f"k = {k}" for k in range(1, args.n)))
+    readings += [Reading(second="nearest"), Reading(second="ceiling"), Reading(ties="index")]
+    columns = ("split", "refresh", "second", "ties", *(f"k = {k}" for k in range(1, args.n)))
     table = Table(*columns, title=f"frames · ID % · MC %, {args.episodes} episodes a cell")
     for reading in readings:
         cells = [measure(args, k, reading) for k in range(1, args.n)]
         row = [f"{c.frames.mean:.2f} · {c.identified.mean:.0f} · {c.wronged.mean:.0f}" for c in cells]
-        table.add_row(reading.split, str(reading.refresh), reading.second, *row)
+        table.add_row(reading.split, str(reading.refresh), reading.second, reading.ties, *row)
     if args.n == 5:
-        table.add_row("paper", "", "", *(f"{PAPER[k][4]:.2f} · {PAPER[k][5]} · {PAPER[k][6]}" for k in PAPER))
+        table.add_row("paper", "", "", "", *(f"{PAPER[k][4]:.2f} · {PAPER[k][5]} · {PAPER[k][6]}" for k in PAPER))
     return table
 
 
 def main(args: Args) -> None:
-    Console().print(all_readings(args) if args.readings else beside_the_paper(args))
+    Console(width=120).print(all_readings(args) if args.readings else beside_the_paper(args))
 
 
 if __name__ == "__main__":

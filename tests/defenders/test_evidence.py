@@ -40,6 +40,35 @@ def test_how_many(normal: tuple[int, ...], total: int, eta: float, m: float) -> 
     assert estimate_liars(beta, n) == pytest.approx(m)
 
 
+@st.composite
+def histories(draw: st.DrawFn) -> tuple[int, int, int]:
+    """n vehicles, N validations, Σβ normal ones, such that 1 <= m <= n - 1 without the cap."""
+    n, total = draw(st.integers(2, 40)), draw(st.integers(1, 500))
+    return n, total, draw(st.integers(max(math.ceil(n * total / 2 ** (n - 1)), 1), n * total // 2))
+
+
+def spread(n: int, normal: int) -> np.ndarray:
+    return np.full(n, normal // n) + (np.arange(n) < normal % n)
+
+
+@given(histories())
+def test_theorem_1_part_1(history: tuple[int, int, int]) -> None:
+    """Eq. (15): when no group passes, m grows (to the cap)."""
+    n, total, normal = history
+    m = estimate_liars(spread(n, normal), np.full(n, total))
+    later = estimate_liars(spread(n, normal), np.full(n, total + 1))
+    assert m < later or later == n - 1
+
+
+@given(histories())
+def test_theorem_1_part_2(history: tuple[int, int, int]) -> None:
+    """Eqs. (16)-(22): when the n - ⌊m⌋ least suspicious pass, m shrinks; with two vehicles it stays at 1."""
+    n, total, normal = history
+    m = estimate_liars(spread(n, normal), np.full(n, total))
+    later = estimate_liars(spread(n, normal + n - math.floor(m)), np.full(n, total + 1))
+    assert later < m or (n == 2 and later == m == 1)
+
+
 def test_posterior_of_the_first_frame() -> None:
     """n = 5: four passed together, vehicle 4 failed alone. P(A|B) = 1/4, P(A) = 1/5, prior = 0.65."""
     result = posterior(np.zeros(5), counts(1, 1, 1, 1, 0), np.ones(5, dtype=int), gamma=0.35, lam=0.65)

@@ -15,6 +15,7 @@ from defenders import Prbi, Query, Reading, Verdict
 from defenders.evidence import benign_ratio
 from defenders.perfect import PerfectWorld, play
 from defenders.protocol import View
+from defenders.readings import ROUNDINGS
 
 
 class Ordered(np.random.Generator):
@@ -102,13 +103,17 @@ def test_theorem_1_every_step_points_at_k(fleet: tuple[int, int], seed: int) -> 
             assert defender.m < before or n == 2
 
 
-@pytest.mark.parametrize("k", [1, 2, 3, 4])
-def test_theorem_2_rounding(k: int) -> None:
-    n = 6  # as in Fig. 3
+@settings(max_examples=6)
+@given(
+    st.integers(3, 7).flatmap(lambda n: st.tuples(st.just(n), st.integers(1, n - 1))),
+    st.sampled_from(ROUNDINGS),
+    st.integers(0, 2**32),
+)
+def test_theorem_2_rounding(fleet: tuple[int, int], rounding: str, seed: int) -> None:
+    n, k = fleet
     limits = {"floor": k, "nearest": k - 0.5, "ceiling": k - 1 if k > 1 else math.log2(n / (n - 1))}
-    for rounding, limit in limits.items():
-        _, values = watch(n, k, 0, 250, rounding=rounding)
-        assert np.mean(values[-100:]) == pytest.approx(limit, abs=0.05), rounding
+    _, values = watch(n, k, seed, 250, rounding=rounding)
+    assert np.mean(values[-100:]) == pytest.approx(limits[rounding], abs=0.1)
 
 
 @pytest.mark.parametrize("k", [1, 2, 3, 4])
