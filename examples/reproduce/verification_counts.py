@@ -58,7 +58,7 @@ class Args:
     """count on the shipped detector instead, PGD lying"""
     scenes: str = "town/test"
     n_scenes: int = 3
-    frames: int = 10
+    frames: int = 6
     """of every scene, with the detector"""
     threads: int = 1
     out: Path = Path("out/verifications")
@@ -185,7 +185,7 @@ def draw(
     path: Path,
     verifier: str,
 ) -> Path:
-    figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.4), layout="constrained")
+    figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.7), layout="constrained")
     liars, middle = np.arange(1, args.n), args.n // 2
     for shift, row in zip(np.linspace(-0.12, 0.12, len(args.rows)), args.rows, strict=True):
         ours = [means[row, k] for k in range(1, args.n)]
@@ -194,13 +194,13 @@ def draw(
         left.errorbar(liars + shift, [i.mean for i in ours], reach, fmt="o-", ms=4, capsize=3, **style)
         if args.n == 5:
             left.plot(liars + shift, [average for *_, average in PAPER[row]], "x", ms=8, color=COLOURS[row])
-        values = np.sort(pooled(counts[row, middle]))
-        right.step(values, 1 - np.arange(len(values)) / len(values), where="pre", **style)
+        values, first = np.unique(np.sort(pooled(counts[row, middle])), return_index=True)
+        right.step(values, 1 - first / pooled(counts[row, middle]).size, where="pre", **style)
     if args.n == 5:
         left.plot([], [], "x", ms=8, color="grey", label="the paper's")
     left.set(xlabel="liars k", ylabel="verifications a frame, mean", xticks=liars, ylim=(0, None))
     left.set_title(f"n = {args.n}, 95 % intervals over episodes")
-    left.legend(fontsize=9)
+    figure.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=5, fontsize=9)
     right.set(xlabel="verifications in a frame, x", ylabel="share of frames with x or more", yscale="log")
     right.set_title(f"k = {middle} of n = {args.n}")
     figure.suptitle(f"Cost of a frame, {verifier}")
