@@ -81,10 +81,10 @@ def test_the_picture_shows_east_on_the_right_and_north_on_top() -> None:
     )
     assert at(image, 12, 7, 50) == preview.AGENTS[0], "a return, bright"
     assert at(image, -9, 33, 50) not in (preview.AGENTS[0], preview.GROUND, preview.GRID), "one from the road, dim"
-    assert at(image, 20.0, 11.0 - 0.05, 50) == preview.AGENTS[1], "the northern edge of agent 1"
+    assert at(image, 18.5, 11.0 - 0.05, 50) == preview.AGENTS[1], "the northern edge of agent 1"
     assert at(image, -20 - 1.0 + 0.05, -10.5, 50) == preview.MET, "a box along y"
     assert at(image, -20, -9, 50) == preview.MET, "its line points to its front, to the north"
-    assert at(image, 4.95, 31, 50) == preview.WALL
+    assert at(image, 5.0, 31, 50) == preview.WALL
     assert at(image, 12, -7, 50) == preview.GROUND
     unseen = preview.draw(SCENE, 0, [sweeps[0]] * 2, extent=50)
     assert at(unseen, -20, -9, 50) == preview.UNMET

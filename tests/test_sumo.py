@@ -246,6 +246,6 @@ def test_what_cannot_be_cast_or_driven_is_told(grid: Path, tmp_path: Path, monke
 
 def test_drawn_streets_differ_from_scene_to_scene() -> None:
     pytest.importorskip("libsumo", reason="needs the extra sumo")
-    source = LiveSumo("intersection", warm_up=30.0)
+    source = LiveSumo("intersection", warm_up=20.0, vehicles=2)
     a, b = (source.load(name) for name in source.names()[:2])
     assert a.kind == "intersection" and len(a.obstacles) > 10 and a.obstacles.shape != b.obstacles.shape

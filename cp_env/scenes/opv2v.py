@@ -12,7 +12,6 @@ import hashlib
 from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 from zlib import crc32
@@ -122,12 +121,12 @@ class OPV2V:
         if not self._names:
             most = max(len(self._scenarios[name].vehicles) for name in names)
             raise ValueError(f"no scenario of {self.root} has {vehicles} vehicles; the most are {most}")
+        self.digest = self._digest()
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_reels": OrderedDict()}
 
-    @cached_property
-    def digest(self) -> str:
+    def _digest(self) -> str:
         """Changes with every option that sweeps depend on, and with name, size or time of any file that is read."""
         options = (self.stride, self.tick, self.poses, self.noise, self.seed)
         sha = hashlib.sha256(repr((VERSION, self.name, options, self._names)).encode())

@@ -56,7 +56,8 @@ def _write(source: SceneSource, name: str, out: Path, data: str) -> None:
             for k, (agent, sweep) in enumerate(zip(agents, sweeps, strict=True)):
                 stem = folder / agent / f"{ticks * t:06d}"
                 yaw = float(scene.pose[t, scene.connected[k], 2]) if k < scene.n_connected else 0.0
-                lidar = to_carla(*sweep.origin.tolist(), yaw)
+                x, y, z = sweep.origin.tolist()
+                lidar = to_carla(x, y, z, yaw)
                 body = vehicles[int(agent)] if k < scene.n_connected else None
                 stem.with_suffix(".yaml").write_text(_yaml(lidar, body, vehicles))
                 pcd.write(stem.with_suffix(".pcd"), _points(sweep, lidar), data=data)
