@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from cp_env.types import Scene, Sweep
 
@@ -40,6 +40,16 @@ def count_returns(
     inside = (np.abs(cos * dx + sin * dy) <= half[:, 0] + margin) & (np.abs(cos * dy - sin * dx) <= half[:, 1] + margin)
     inside &= (dz <= half[:, 2] + margin) & (dz >= CLEARANCE - half[:, 2])
     return np.bincount(row[inside], minlength=len(centre))
+
+
+def beside(
+    points: Float[np.ndarray, "P 3"], box: Float[np.ndarray, " 5"], margin: float = MARGIN
+) -> Bool[np.ndarray, " P"]:
+    """Which points do not lie over or under the footprint (x, y, length, width, yaw) of the vehicle that took them."""
+    offset = points[:, :2] - box[:2].astype(points.dtype)
+    cos, sin = np.cos(box[4]), np.sin(box[4])
+    along, across = cos * offset[:, 0] + sin * offset[:, 1], cos * offset[:, 1] - sin * offset[:, 0]
+    return (np.abs(along) > box[2] / 2 + margin) | (np.abs(across) > box[3] / 2 + margin)
 
 
 def returns_of(scene: Scene, frame: int, sweep: Sweep) -> Int[np.ndarray, " M"]:

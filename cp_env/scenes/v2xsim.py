@@ -8,6 +8,7 @@ Convention:
     box      centre, (width, length, height), quaternion in the tables; the heading is the turned x axis.
     ground   under a sensor: the foot of its carrier's box; under a road-side unit: the median foot of boxes near it.
     A sweep is given from the middle of its carrier's box, at the sensor's height: that is the place a vehicle shares.
+    Returns from the carrier itself are left out.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ import numpy as np
 from jaxtyping import Float
 
 from cp_env.scenes.broken import BrokenData, sift
-from cp_env.scenes.hits import count_returns
+from cp_env.scenes.hits import beside, count_returns
 from cp_env.scenes.v2xsim_index import open_index
 from cp_env.scenes.v2xsim_splits import choose
 from cp_env.scenes.v2xsim_stage import RSU, Stage, present, stage
@@ -140,6 +141,8 @@ class V2XSim:
         shift = world_T_sensor[:, 3] - (origin[0], origin[1], ground)
         points = read_points(path) @ world_T_sensor[:, :3].T.astype(np.float32) + shift.astype(np.float32)
         boxes = staged.boxes[frame] - (origin[0], origin[1], ground, 0, 0, 0, 0)
+        if agent != RSU:
+            points = points[beside(points, boxes[staged.row[agent], [0, 1, 3, 4, 6]])]
         return Sweep(points, origin, count_returns(points, boxes[:, :3], boxes[:, 3:6], boxes[:, 6]))
 
 

@@ -3,7 +3,7 @@
 Layout: `{train,val,test}/agent{k}/{scene}_{frame}/0.npy`; agent 0 is the road-side unit. The files hold voxels of
 0.25 × 0.25 × 0.4 m within ±32 m instead of points, poses relative to each other, and boxes of cars as targets of
 anchors. What they do not hold is supplied: the ground is the fullest slice of an agent's voxels, heights are those of a
-usual car, vehicles are followed by place and size.
+usual car, vehicles are followed by place and size. Returns from the carrier itself are left out.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numpy as np
 from tqdm import tqdm
 
 from cp_env.scenes.broken import BrokenData, sift
-from cp_env.scenes.hits import count_returns
+from cp_env.scenes.hits import beside, count_returns
 from cp_env.scenes.v2xsim_anchors import CELL
 from cp_env.scenes.v2xsim_det_stage import AGENTS, HEIGHT, Reel, read_points, read_reel
 from cp_env.scenes.v2xsim_splits import SPLITS
@@ -124,6 +124,10 @@ class V2XSimDet:
         assert path is not None
         points = read_points(path, agent) @ world_T_sensor[:, :3].T
         points += world_T_sensor[:, 3] - (*place, ground)
+        if agent != RSU:
+            row = scene.connected[k]
+            box = np.array([0, 0, *scene.size[row, :2], scene.pose[t, row, 2]])
+            points = points[beside(points, box, margin=CELL / 2)]
         middle = np.concatenate([scene.pose[t, :, :2] - place, scene.size[:, 2:] / 2], axis=1)
         hits = count_returns(points, middle, scene.size, scene.pose[t, :, 2], margin=CELL / 2)
         origin = np.append(place, world_T_sensor[2, 3] - ground)

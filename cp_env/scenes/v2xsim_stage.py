@@ -27,6 +27,7 @@ class Stage:
     scene: Scene
     rows: Rows
     agents: tuple[int, ...]  # channels in the order of the sweeps
+    row: dict[int, int]  # of each vehicle's box among the scene's vehicles
     origin: dict[int, Float[np.ndarray, "T 3"]]  # of each agent's sweeps; world x, y and height above ground
     ground: Float[np.ndarray, "T K"]  # world z of the ground under each sensor
     boxes: Float[np.ndarray, "T M 7"]  # of the scene's vehicles, as in `Rows.box`
@@ -50,11 +51,11 @@ def stage(index: Index, place: int, categories: tuple[str, ...], rsu: bool) -> S
     row = [len(tracks[0]) + k if carrier is None else carrier for k, carrier in enumerate(carriers)]
     keep = np.union1d(np.flatnonzero(wanted), row)
     boxes, connected = boxes[:, keep], np.searchsorted(keep, row)
-    ground = _ground(rows, boxes, dict(zip(agents, connected.tolist(), strict=True)))
+    carrier = dict(zip(agents, connected.tolist(), strict=True))
+    ground = _ground(rows, boxes, carrier)
     height = rows.world_T_sensor[..., 2, 3] - ground
     origin = {
-        agent: np.concatenate([boxes[:, own, :2], height[:, agent, None]], axis=1)
-        for agent, own in zip(agents, connected.tolist(), strict=True)
+        agent: np.concatenate([boxes[:, own, :2], height[:, agent, None]], axis=1) for agent, own in carrier.items()
     }
     mast = None
     if rsu and not np.isnan(height[:, RSU]).any():
@@ -72,7 +73,7 @@ def stage(index: Index, place: int, categories: tuple[str, ...], rsu: bool) -> S
     )
     for array in (scene.pose, scene.size, scene.connected, scene.obstacles):
         array.flags.writeable = False  # it is shared by all who load it
-    return Stage(scene, rows, tuple(origin), origin, ground, boxes)
+    return Stage(scene, rows, tuple(origin), carrier, origin, ground, boxes)
 
 
 def _tracks(rows: Rows, wanted: Sequence[bool]) -> tuple[Float[np.ndarray, "T I 7"], Bool[np.ndarray, " I"]]:
