@@ -11,6 +11,7 @@ from collections.abc import Callable
 from importlib import import_module
 from typing import Any
 
+from defenders.bayes import Bayes
 from defenders.bounds import EgoOnly, NoDefence, Oracle
 from defenders.pasac import Pasac
 from defenders.prbi import Prbi
@@ -19,6 +20,7 @@ from defenders.readings import Reading
 from defenders.robosac import Robosac
 
 __all__ = [
+    "Bayes",
     "Defender",
     "EgoOnly",
     "Frame",
@@ -39,6 +41,7 @@ __all__ = [
 
 REGISTRY: dict[str, Callable[..., Defender]] = {
     "prbi": Prbi,
+    "bayes": Bayes,
     "none": NoDefence,
     "ego_only": EgoOnly,
     "oracle": Oracle,

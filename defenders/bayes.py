@@ -1,0 +1,157 @@
+"""Bayesian adaptive group testing: a posterior over sets of liars, and the two groups a frame that tell most."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Bool
+
+from defenders.design import Outlook, Plan, Reference, best_reference, outlook, plan, safest
+from defenders.likelihood import Likelihood, open_likelihood
+from defenders.particles import Particles
+from defenders.posterior import LYING, Comparison, Posterior
+from defenders.protocol import Defender, Frame, Inspection, Query, Verdict, View
+
+Members = Bool[np.ndarray, " n"]
+PATIENCE = 0.95  # new references as good as the old ones but for this are preferred
+
+
+class Bayes(Defender):
+    """Trusts nobody by rank: not the ego, not the first frame, not its own last verdict. See docs/bayes.md.
+
+    A frame: the free view of everyone is compared with a reference; if two more views are expected to tell at least
+    `worthwhile` bits, they are asked for, compared with the references by which they tell most, and taken in. Fused
+    are those whose view is worth most under the posterior; accused are those who lie with probability `certainty`.
+    Where no view is paid for, the output's similarity is evidence too: it is perceived anyway. Where two are paid
+    for it is not, so that no frame ever rests on more than two looks beside the free one.
+
+    The references are the views of one earlier frame, whose honesty is part of the posterior. This frame's views
+    replace them unless the old ones are likelier to hold an honest one, which counts `AGEING` less a frame.
+    """
+
+    max_queries = 2
+
+    def __init__(
+        self,
+        *,
+        likelihood: str | Likelihood = "calibrated",
+        certainty: float = 0.99,
+        turn: float = 1e-3,
+        first: float = 3e-3,
+        worthwhile: float = 0.05,
+        exact_to: int = 15,
+        particles: int = 1024,
+    ) -> None:
+        """ValueError for knobs out of range.
+
+        likelihood   "calibrated" (shipped), "perfect" (a yes/no world), or a `Likelihood`
+        certainty    posterior probability at which a vehicle is accused, and a set of liars settled
+        turn         φ, the probability that the set of liars is another from one frame with lies to the next
+        first        the probability that liars are at work in the very first frame
+        worthwhile   bits that two looks must be expected to tell to be paid for
+        exact_to     vehicles up to which every set has its own probability; above, `particles` stand for all
+        """
+        if not 0.5 < certainty < 1:
+            raise ValueError(f"certainty is a probability above 0.5 and below 1, got {certainty}")
+        for name, value in (("turn", turn), ("first", first)):
+            if not 0 < value < 0.5:
+                raise ValueError(f"{name} is a small probability, above 0 and below 0.5, got {value}")
+        if worthwhile < 0 or particles < 2 or not 1 <= exact_to <= 20:
+            raise ValueError(
+                "worthwhile must be at least 0, particles at least 2 and exact_to in 1..20; got "
+                f"{worthwhile}, {particles} and {exact_to}"
+            )
+        self.likelihood, self.certainty, self.turn, self.first = open_likelihood(likelihood), certainty, turn, first
+        self.worthwhile, self.exact_to, self.particles = worthwhile, exact_to, particles
+
+    def reset(self, n_vehicles: int, rng: np.random.Generator) -> None:
+        self.n, self.rng = n_vehicles, rng
+        self.tables = self.likelihood.tables(n_vehicles)
+        self.worth = worth_table(self.likelihood, n_vehicles)
+        self.posterior = (
+            Posterior(n_vehicles, turn=self.turn)
+            if n_vehicles <= self.exact_to
+            else Particles(n_vehicles, turn=self.turn, size=self.particles, rng=rng)
+        )
+        self.references: dict[frozenset[int], View] = {}
+        self.age = 0  # of the references, frames
+
+    def inspect(self, frame: Frame) -> Inspection:
+        everyone = frozenset(range(self.n))
+        views: dict[frozenset[int], View] = {everyone: frame.seen}
+        self.posterior.predict(LYING if frame.index else self.first)
+        self.age += 1
+        self._learn(frame, everyone, frame.seen)
+        plan = self._plan()
+        if plan is not None:
+            groups = [numbers(group) for group in plan.groups]
+            views.update(zip(groups, (yield Query(groups)), strict=True))
+            for group, reference in zip(groups, plan.references, strict=True):
+                self._compare(frame, group, views[group], reference)
+        fused = safest(self.posterior, self.worth, self.posterior.guilt() >= self.certainty, self.rng)
+        collaborators = numbers(fused)
+        if collaborators not in views:
+            (views[collaborators],) = yield Query([collaborators], verification=False)  # the output of this frame
+            if plan is None:
+                self._learn(frame, collaborators, views[collaborators])
+        suspects = numbers(self.posterior.guilt() >= self.certainty) - collaborators
+        verdict = Verdict(collaborators, suspects, self.posterior.likeliest() >= self.certainty)
+        self._end(views)
+        return verdict
+
+    def belief(self) -> np.ndarray:
+        return np.clip(self.posterior.guilt(), 0, 1)
+
+    def _outlook(self) -> Outlook:
+        return outlook(self.posterior, self.rng, 512)
+
+    def _sources(self) -> list[Reference]:
+        table = self.tables[min(self.age, len(self.tables)) - 1]
+        return [Reference(self._members(group), table) for group in self.references]
+
+    def _plan(self) -> Plan | None:
+        """The two groups to pay for, or None where they would not tell enough."""
+        if not self.references or self.n < 2:
+            return None
+        best = plan(self._sources(), self._outlook(), self.rng)
+        return best if best.gain >= self.worthwhile else None
+
+    def _learn(self, frame: Frame, group: frozenset[int], view: View) -> None:
+        """Compare a view with the reference by which it tells most."""
+        if self.references:
+            reference, _ = best_reference(self._members(group), self._sources(), self._outlook())
+            self._compare(frame, group, view, reference)
+
+    def _compare(self, frame: Frame, group: frozenset[int], view: View, reference: Reference) -> None:
+        similarity = frame.similarity(view, self.references[numbers(reference.group)])
+        found = self.likelihood.bin(similarity)
+        self.posterior.update(Comparison(self._members(group), reference.group, reference.table, found))
+
+    def _end(self, views: dict[frozenset[int], View]) -> None:
+        """Keep the references or renew them: by views that are likely to be honest."""
+        clean = {group: self.posterior.clean(self._members(group), now=True) for group in views}
+        old = max((self.posterior.clean(self._members(g), now=False) for g in self.references), default=0.0)
+        best = max(clean.values())
+        renew = best * self.likelihood.power(1) >= PATIENCE * old * self.likelihood.power(self.age + 1)
+        self.posterior.advance(renew)
+        if renew:
+            self.references = {group: view for group, view in views.items() if clean[group] >= best / 2}
+            self.age = 0
+
+    def _members(self, group: frozenset[int]) -> Members:
+        members = np.zeros(self.n, dtype=bool)
+        members[list(group)] = True
+        return members
+
+
+def numbers(members: Members) -> frozenset[int]:
+    """Numbers of the vehicles that are members."""
+    return frozenset(np.flatnonzero(members).tolist())
+
+
+def worth_table(likelihood: Likelihood, n: int) -> np.ndarray:
+    """`worth[size, liars]` of a view; the last column, -1, is a glitch, where no group is better than another."""
+    table = np.zeros((n + 1, n + 2))
+    for size in range(1, n + 1):
+        table[size, : size + 1] = [likelihood.worth(size, liars) for liars in range(size + 1)]
+    table[1:, -1] = likelihood.worth(1, 0)
+    return table

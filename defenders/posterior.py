@@ -1,0 +1,138 @@
+"""A posterior over sets of liars, and over whether they were at work when the reference was seen.
+
+A hypothesis is a set L of liars. The number of liars is uniform on 0 … n - 1 and the set is uniform given its number.
+In each frame the liars are at work, all of them (a = 1), with probability q, or pause; and so it was in the frame the
+reference comes from (b). If nobody lies, a = 1 is a glitch, in which anything may be seen: rare, and without
+a share given back to a = 0, so that a frame in which nothing shows says nothing about L: who pauses is not acquitted.
+In a frame with lies, L is drawn anew with probability φ: somebody may start to lie, and no verdict is for ever. Liars
+who have just started were honest in the reference.
+
+    p(L, b, a = 0) ∝ (1 - q) p(L, b)
+    p(L, b, a = 1) ∝ q ((1 - φ) p(L, b) + φ p₀(L) [b = 0]) (GLITCH if L = ∅ else 1)
+
+The recursion is pointwise in L: it needs of the other sets nothing but the normaliser.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import comb
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from defenders.likelihood import Table
+
+GLITCH = 0.003
+LYING = 0.7  # q
+
+Sets = Bool[np.ndarray, "S n"]
+Density = Float[np.ndarray, "S 2"]
+Joint = Float[np.ndarray, "S 2 2"]
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """A similarity, binned, of the view of a group to a reference."""
+
+    group: Bool[np.ndarray, " n"]
+    reference: Bool[np.ndarray, " n"]
+    table: Table  # of the reference's age
+    bin: int
+
+
+class Posterior:
+    """Exact: every set but "all lie" has its own entry. `joint` [S, b, a]; between frames a is not known and 0."""
+
+    def __init__(self, n: int, *, turn: float) -> None:
+        """`turn` is φ. Memory and time grow as 2^n."""
+        codes = np.arange(max(2**n - 1, 1))
+        self._begin((codes[:, None] >> np.arange(n) & 1).astype(bool), turn)
+
+    def _begin(self, sets: Sets, turn: float) -> None:
+        self.sets, self.turn = sets, turn
+        self.prior = prior(sets)
+        self.scale: Float[np.ndarray, " S"] = np.ones(len(sets))  # what a point of the density stands for
+        self.joint = np.zeros((len(sets), 2, 2))
+        self.joint[:, 0, 0] = self.prior
+
+    @property
+    def density(self) -> Density:
+        """p(L, b), up to `scale`."""
+        return self.joint.sum(2)
+
+    @property
+    def mass(self) -> Joint:
+        """Probability of (L, b, a), summing to one."""
+        return self.joint * self.scale[:, None, None]
+
+    def predict(self, lying: float = LYING) -> None:
+        """A new frame begins, in which the liars are at work with probability `lying`."""
+        self.joint = predicted(self.density, self.sets, self.prior, self.turn, lying)
+        self._normalise()
+
+    def update(self, comparison: Comparison) -> None:
+        """Take in one similarity of this frame."""
+        self.joint *= likelihood(self.sets, comparison)
+        self._normalise()
+
+    def advance(self, renew: bool) -> None:
+        """The frame ends. `renew`: its views are the references from now on, else those there were stay."""
+        self.joint = settled(ended(self.joint, renew))
+
+    def guilt(self) -> Float[np.ndarray, " n"]:
+        """Probability that each vehicle is a liar."""
+        return self.mass.sum((1, 2)) @ self.sets
+
+    def likeliest(self) -> float:
+        """Probability of the likeliest set."""
+        return float(self.mass.sum((1, 2)).max())
+
+    def clean(self, group: Bool[np.ndarray, " n"], *, now: bool) -> float:
+        """Probability that nobody was lying in the view of a group, of this frame or of the references' frame."""
+        over = self.mass.sum(1 if now else 2)  # [S, a] or [S, b]
+        caught = (self.sets & group).any(1) | ~self.sets.any(1)
+        return float(1 - over[caught, 1].sum())
+
+    def _normalise(self) -> None:
+        self.joint /= self.mass.sum()
+
+
+def prior(sets: Sets) -> Float[np.ndarray, " S"]:
+    """Probability of each set: uniform over the number of liars 0 … n - 1, then uniform over sets; 0 where all lie."""
+    n = sets.shape[1]
+    by_number = np.array([1 / (max(n, 1) * comb(n, k)) for k in range(n)] + [0.0])
+    return by_number[sets.sum(1)]
+
+
+def predicted(density: Density, sets: Sets, birth: Float[np.ndarray, " S"], turn: float, lying: float) -> Joint:
+    """p(L, b, a) before anything is seen of the frame, from p(L, b); not normalised."""
+    joint = density[:, :, None] * np.array([1 - lying, lying])
+    joint[:, :, 1] *= 1 - turn
+    joint[:, 0, 1] += turn * lying * birth
+    joint[~sets.any(1), :, 1] *= GLITCH
+    return joint
+
+
+def likelihood(sets: Sets, comparison: Comparison) -> Joint:
+    """Probability of a similarity under every (L, b, a)."""
+    size, reference = int(comparison.group.sum()), int(comparison.reference.sum())
+    honest, nobody = np.zeros(len(sets), dtype=np.int64), ~sets.any(1)
+    now = np.where(nobody, -1, sets[:, comparison.group].sum(1))
+    then = np.where(nobody, -1, sets[:, comparison.reference].sum(1))
+    values = comparison.table.density[:, comparison.bin]
+    rows = [
+        [comparison.table.rows(size, (honest, now)[a], reference, (honest, then)[b]) for a in range(2)]
+        for b in range(2)
+    ]
+    return np.moveaxis(values[np.array(rows)], 2, 0)
+
+
+def ended(joint: Joint, renew: bool) -> Density:
+    """p(L, b) for the next frame: b is a of this one if the references are renewed."""
+    return joint.sum(1 if renew else 2)
+
+
+def settled(density: Density) -> Joint:
+    """The joint between two frames."""
+    return np.stack([density, np.zeros(density.shape)], axis=2)

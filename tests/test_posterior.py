@@ -1,0 +1,357 @@
+"""The posterior over sets of liars and the choice of groups: laws, and slow twins that add up every case by itself."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator
+from itertools import combinations, product
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from defenders.design import Outlook, Reference, exhaustive, gain_of_one, local, outcomes, outlook, safest
+from defenders.likelihood import CALIBRATED, Calibrated, Likelihood, Table, Verifier, open_likelihood, read_likelihood
+from defenders.particles import Particles, drawn
+from defenders.posterior import GLITCH, LYING, Comparison, Posterior
+
+TURN = 0.01
+Hypothesis = tuple[frozenset[int], int]  # (L, b)
+
+
+def made_up(seed: int, *, most: int = 3, bins: int = 4) -> Calibrated:
+    """Densities as wild as they may be."""
+    rng = np.random.default_rng(seed)
+
+    def rows(*shape: int) -> np.ndarray:
+        return rng.dirichlet(np.ones(bins), shape)
+
+    dirty = {(s, d): rows(1)[0] for s in range(1, most + 1) for d in range(1, s + 1) if d == 1 or s < most}
+    return Calibrated(np.linspace(0, 1, bins + 1), rows(2, most, most), dirty, rows(1)[0], tail=0.05)
+
+
+def members(n: int, group: frozenset[int]) -> np.ndarray:
+    return np.isin(np.arange(n), list(group))
+
+
+def subsets(n: int) -> Iterator[frozenset[int]]:
+    return (frozenset(group) for size in range(n + 1) for group in combinations(range(n), size))
+
+
+def drawn_evidence(n: int, likelihood: Likelihood, seed: int, count: int = 3) -> list[Comparison]:
+    rng = np.random.default_rng(seed)
+    groups = [group for group in subsets(n) if group]
+    tables = likelihood.tables(n)
+    return [
+        Comparison(
+            members(n, groups[rng.integers(len(groups))]),
+            members(n, groups[rng.integers(len(groups))]),
+            tables[rng.integers(len(tables))],
+            int(rng.integers(len(likelihood.edges) - 1)),
+        )
+        for _ in range(count)
+    ]
+
+
+def probability(likelihood: Likelihood, c: Comparison, age: int, liars: frozenset[int], b: int, a: int) -> float:
+    """The slow twin of one comparison's likelihood, read off its definition."""
+    group, reference = frozenset(np.flatnonzero(c.group)), frozenset(np.flatnonzero(c.reference))
+    if not liars and (a or b):
+        return float(likelihood.glitch()[c.bin])
+    now, then = a * len(group & liars), b * len(reference & liars)
+    if now and then:
+        return float(likelihood.both()[c.bin])
+    if now:
+        return float(likelihood.dirty(len(group), now)[c.bin])
+    if then:
+        return float(likelihood.dirty(len(reference), then)[c.bin])
+    return float(likelihood.clean(len(group), len(reference), age)[c.bin])
+
+
+def twin(
+    likelihood: Likelihood, n: int, frames: list[tuple[list[Comparison], list[int], bool]]
+) -> dict[Hypothesis, float]:
+    """p(L, b) after frames of (comparisons, ages of their references, renewed), one case at a time."""
+    sets = [liars for liars in subsets(n) if len(liars) < n]
+    prior = {liars: 1 / (n * math.comb(n, len(liars))) for liars in sets}
+    belief = {(liars, b): prior[liars] * (1 - b) for liars in sets for b in (0, 1)}
+    for comparisons, ages, renew in frames:
+        after = dict.fromkeys(belief, 0.0)
+        for (liars, b), a in product(belief, (0, 1)):
+            weight = (1 - LYING) * belief[liars, b]
+            if a:
+                born = TURN * prior[liars] * (b == 0)
+                weight = LYING * ((1 - TURN) * belief[liars, b] + born) * (1 if liars else GLITCH)
+            for c, age in zip(comparisons, ages, strict=True):
+                weight *= probability(likelihood, c, age, liars, b, a)
+            after[liars, a if renew else b] += weight
+        total = sum(after.values())
+        belief = {h: weight / total for h, weight in after.items()}
+    return belief
+
+
+@given(st.integers(1, 5), st.integers(0, 10**6))
+@settings(max_examples=10)
+def test_equals_the_sum_over_every_case(n: int, seed: int) -> None:
+    likelihood = made_up(seed)
+    frames, posterior = [], Posterior(n, turn=TURN)
+    for t in range(4):
+        comparisons = drawn_evidence(n, likelihood, seed + t)
+        by_age = likelihood.tables(n)
+        comparisons = [Comparison(c.group, c.reference, by_age[t % 2], c.bin) for c in comparisons]
+        frames.append((comparisons, [t % 2 + 1] * len(comparisons), t % 3 != 0))
+        posterior.predict()
+        for comparison in comparisons:
+            posterior.update(comparison)
+        posterior.advance(t % 3 != 0)
+    expected = twin(likelihood, n, frames)
+    for liars, row in zip(posterior.sets, posterior.density, strict=True):
+        numbers = frozenset(np.flatnonzero(liars).tolist())
+        assert row == pytest.approx([expected[numbers, 0], expected[numbers, 1]], rel=1e-9, abs=1e-15)
+
+
+@given(st.integers(1, 6), st.integers(0, 10**6))
+@settings(max_examples=15)
+def test_sums_to_one_and_the_order_of_evidence_is_nothing(n: int, seed: int) -> None:
+    likelihood = made_up(seed)
+    evidence = drawn_evidence(n, likelihood, seed, 4)
+    one, other = Posterior(n, turn=TURN), Posterior(n, turn=TURN)
+    assert one.mass.sum() == pytest.approx(1)
+    for posterior, order in ((one, evidence), (other, evidence[::-1])):
+        posterior.predict()
+        for comparison in order:
+            posterior.update(comparison)
+            assert posterior.mass.sum() == pytest.approx(1)
+        posterior.advance(True)
+        assert posterior.mass.sum() == pytest.approx(1)
+    assert one.joint == pytest.approx(other.joint)
+
+
+@given(st.integers(2, 6), st.integers(0, 10**6))
+@settings(max_examples=15)
+def test_renumbering_the_vehicles_renumbers_the_guilt(n: int, seed: int) -> None:
+    likelihood, order = made_up(seed), np.random.default_rng(seed).permutation(n)
+    one, other = Posterior(n, turn=TURN), Posterior(n, turn=TURN)
+    for posterior, p in ((one, np.arange(n)), (other, order)):
+        posterior.predict()
+        for c in drawn_evidence(n, likelihood, seed):
+            posterior.update(Comparison(c.group[p], c.reference[p], c.table, c.bin))
+        posterior.advance(True)
+    assert other.guilt() == pytest.approx(one.guilt()[order])
+
+
+def test_a_frame_in_which_nothing_shows_acquits_nobody() -> None:
+    """With a verifier that hardly errs: guilt after clean frames is what it was before them."""
+    table = Verifier(1e-9, 1e-9).tables(5)[0]
+    posterior, everyone, pair = Posterior(5, turn=TURN), np.ones(5, dtype=bool), np.arange(5) < 2
+    fails, passes = Comparison(pair, everyone, table, 0), Comparison(everyone, everyone, table, 1)
+    posterior.predict()
+    posterior.update(passes)
+    posterior.advance(True)
+    assert posterior.guilt() == pytest.approx([0.4] * 5, abs=2e-3)
+    posterior.predict()
+    posterior.update(fails)
+    posterior.advance(False)
+    suspected = posterior.guilt()
+    assert suspected[0] > 0.6
+    for _ in range(200):
+        posterior.predict()
+        posterior.update(passes)
+        posterior.advance(True)
+    assert posterior.guilt() == pytest.approx(suspected, abs=2e-3)
+
+
+def test_prior_by_hand() -> None:
+    """n = 3: 1/3 for nobody, 1/9 for each one, 1/9 for each pair, none for all."""
+    posterior = Posterior(3, turn=TURN)
+    by_number = {0: 1 / 3, 1: 1 / 9, 2: 1 / 9}
+    assert len(posterior.sets) == 7
+    assert posterior.prior == pytest.approx([by_number[int(s.sum())] for s in posterior.sets])
+    assert posterior.guilt() == pytest.approx([1 / 3] * 3)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_particles_are_near_the_exact_posterior(seed: int) -> None:
+    n, table = 7, Verifier(0.05, 0.05).tables(7)[0]
+    rng = np.random.default_rng(seed)
+    exact, sample = Posterior(n, turn=TURN), Particles(n, turn=TURN, size=4000, rng=rng)
+    everyone = np.ones(n, dtype=bool)
+    for posterior in (exact, sample):
+        drawing = np.random.default_rng(seed)
+        for t in range(6):
+            posterior.predict()
+            posterior.update(Comparison(everyone, everyone, table, int(t % 3 == 0)))
+            for _ in range(2):
+                group = drawing.random(n) < 0.3
+                group[drawing.integers(n)] = True
+                posterior.update(Comparison(group, everyone, table, int(not group[2])))
+            posterior.advance(t % 2 == 0)
+            assert posterior.mass.sum() == pytest.approx(1, abs=1e-6)
+    assert sample.guilt() == pytest.approx(exact.guilt(), abs=0.1)
+    assert sample.likeliest() == pytest.approx(exact.likeliest(), abs=0.1)
+
+
+def test_particles_replay_what_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("defenders.particles.MEMORY", 6)
+    table, everyone = Verifier().tables(9)[0], np.ones(9, dtype=bool)
+    sample = Particles(9, turn=TURN, size=100, rng=np.random.default_rng(0))
+    for t in range(15):  # beyond what is remembered: a summary takes its place
+        sample.predict()
+        sample.update(Comparison(everyone, everyone, table, int(t in (0, 8, 9))))
+        sample.update(Comparison(np.arange(9) == t % 9, everyone, table, int(t % 9 != 4 or t in (0, 8, 9))))
+        sample.advance(t % 2 == 0)
+        assert sample.replay(sample.sets) == pytest.approx(sample.density, rel=1e-6)
+
+
+@given(st.integers(1, 30), st.integers(0, 10**6))
+def test_particles_are_drawn_from_the_prior(n: int, seed: int) -> None:
+    numbers = drawn(n, 10 * n, np.random.default_rng(seed)).sum(1)
+    assert np.bincount(numbers, minlength=n).tolist() == [10] * n
+
+
+# -- the choice of groups ------------------------------------------------------------------------------------------
+
+
+def doubted(n: int, likelihood: Likelihood, seed: int) -> Posterior:
+    posterior = Posterior(n, turn=TURN)
+    posterior.predict()
+    for comparison in drawn_evidence(n, likelihood, seed, 2):
+        posterior.update(comparison)
+    return posterior
+
+
+def slow_gain(groups: list[np.ndarray], reference: Reference, of: Outlook, bins: int) -> float:
+    """Mutual information from its definition: Σ p(h) p(y | h) log2(p(y | h) / p(y))."""
+    given_each = []
+    for h, now in enumerate(of.now):
+        rows = []
+        for group in groups:
+            liars = -1 if of.glitch[0, h] else int(now[group].sum())
+            its = -1 if of.glitch[1, h] else int(of.then[h][reference.group].sum())
+            row = reference.table.rows(int(group.sum()), np.array(liars), int(reference.group.sum()), np.array(its))
+            rows.append(reference.table.density[int(row)])
+        given_each.append(
+            {y: math.prod(r[b] for r, b in zip(rows, y, strict=True)) for y in product(range(bins), repeat=len(rows))}
+        )
+    total = {y: sum(w * each[y] for w, each in zip(of.weight, given_each, strict=True)) for y in given_each[0]}
+    return sum(
+        w * each[y] * math.log2(each[y] / total[y]) for w, each in zip(of.weight, given_each, strict=True) for y in each
+    )
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_information_equals_its_definition_and_no_pair_tells_more(seed: int) -> None:
+    n, likelihood, rng = 4, made_up(seed), np.random.default_rng(seed)
+    of = outlook(doubted(n, likelihood, seed), rng, 10**6)
+    reference = Reference(np.ones(n, dtype=bool), likelihood.tables(n)[0])
+    plan = exhaustive([reference], of)
+    assert plan.gain == pytest.approx(slow_gain(list(plan.groups), reference, of, 4), rel=1e-6)
+    groups = [members(n, group) for group in subsets(n) if 0 < len(group) < n]
+    alone = gain_of_one(outcomes(np.array(groups), reference, of), of.weight)
+    assert alone == pytest.approx([slow_gain([g], reference, of, 4) for g in groups], rel=1e-6, abs=1e-12)
+    for i in rng.integers(len(groups), size=(10, 2)):
+        if i[0] != i[1]:
+            assert slow_gain([groups[j] for j in i], reference, of, 4) <= plan.gain + 1e-9
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_local_search_comes_near_the_exact_one(seed: int) -> None:
+    likelihood, rng = Verifier(), np.random.default_rng(seed)
+    of = outlook(doubted(5, likelihood, seed), rng, 10**6)
+    references = [Reference(np.ones(5, dtype=bool), likelihood.tables(5)[0])]
+    assert local(references, of, rng).gain >= 0.85 * exhaustive(references, of).gain
+
+
+def test_a_sample_of_hypotheses_stands_for_all() -> None:
+    posterior = doubted(9, made_up(0), 0)
+    of = outlook(posterior, np.random.default_rng(0), 500)
+    assert len(of.weight) <= 500 and of.weight.sum() == pytest.approx(1)
+    lying = posterior.mass.sum(1)[:, 1] @ posterior.sets
+    assert of.weight @ of.now == pytest.approx(lying, abs=0.03)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_safest_group_is_worth_most(seed: int) -> None:
+    """Against every group added up case by case, vehicle 3 being barred."""
+    n, likelihood, rng = 4, made_up(seed), np.random.default_rng(seed)
+    posterior = doubted(n, likelihood, seed)
+    worth = np.sort(rng.random((n + 1, n + 2)))[:, ::-1]
+    barred = np.arange(n) == 3
+
+    def expected(group: np.ndarray) -> float:
+        total = 0.0
+        for (h, _, a), p in np.ndenumerate(posterior.mass):
+            liars = int(posterior.sets[h][group].sum()) if a else 0
+            total += p * worth[group.sum(), -1 if a and not posterior.sets[h].any() else liars]
+        return total
+
+    best = safest(posterior, worth, barred, rng)
+    assert not (best & barred).any()
+    assert expected(best) == pytest.approx(max(expected(members(n, g)) for g in subsets(3) if g))
+
+
+# -- densities -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("likelihood", ["perfect", "calibrated", made_up(1)], ids=["perfect", "calibrated", "wild"])
+@pytest.mark.parametrize("n", [1, 2, 5, 9, 20])
+def test_every_density_is_one_and_bounded(likelihood: str | Likelihood, n: int) -> None:
+    likelihood = open_likelihood(likelihood)
+    for table in likelihood.tables(n):
+        assert table.density.sum(1) == pytest.approx(1)
+        assert (table.density > 0).all()
+    if isinstance(likelihood, Calibrated):
+        density = np.concatenate([table.density for table in likelihood.tables(n)])
+        ratio = density.max(0) / density.min(0)
+        assert (ratio <= density.max(0) / (likelihood.tail * likelihood.glitch()) + 1e-9).all()
+
+
+def test_more_liars_or_older_references_never_look_better_on_average() -> None:
+    """The shipped densities, measured or not."""
+    likelihood = read_likelihood(CALIBRATED)
+    middle = (likelihood.edges[1:] + likelihood.edges[:-1]) / 2
+    for size in (1, 2, 3, 5, 8, 12, 20):
+        clean = [float(likelihood.clean(size, 5, age) @ middle) for age in range(1, likelihood.oldest + 1)]
+        assert clean == sorted(clean, reverse=True)
+        assert likelihood.dirty(size, 1) @ middle < clean[0]
+        assert likelihood.dirty(size, size) @ middle <= likelihood.dirty(size, 1) @ middle + 0.05
+        assert 0 <= likelihood.worth(size, 1) < likelihood.worth(size, 0) <= 1
+
+
+def test_rows_of_a_table_by_hand() -> None:
+    likelihood = made_up(3)
+    table = Table(likelihood, 4, 2)
+
+    def density(size: int, liars: int, reference: int, its: int) -> np.ndarray:
+        return table.density[int(table.rows(size, np.array(liars), reference, np.array(its)))]
+
+    assert (density(2, 0, 3, 0) == likelihood.clean(2, 3, 2)).all()
+    assert (density(3, 2, 1, 0) == likelihood.dirty(3, 2)).all()
+    assert (density(3, 0, 2, 1) == likelihood.dirty(2, 1)).all()
+    assert (density(3, 2, 2, 1) == likelihood.both()).all()
+    assert (density(3, -1, 2, 0) == likelihood.glitch()).all() and (density(3, 0, 2, -1) == likelihood.glitch()).all()
+
+
+def test_bins() -> None:
+    likelihood = Verifier()
+    assert [likelihood.bin(s) for s in (-0.1, 0.0, 0.49, 0.5, 1.0, 1.1)] == [0, 0, 0, 1, 1, 1]
+
+
+def test_likelihood_doors(tmp_path: Path) -> None:
+    assert isinstance(open_likelihood("perfect"), Verifier)
+    with pytest.raises(ValueError, match="likelihood must be"):
+        open_likelihood("perhaps")
+    with pytest.raises(ValueError, match="false_pass"):
+        Verifier(false_pass=0.5)
+    with pytest.raises(ValueError, match="no calibrated likelihood"):
+        read_likelihood(tmp_path / "nowhere.json")
+    good = json.loads(CALIBRATED.read_text())
+    path = tmp_path / "likelihood.json"
+    breaks = {"edges": [0, 0.5], "tail": 2, "both": [1.0], "dirty": {"1": {"1": good["both"]}}, "clean": []}
+    for name, value in breaks.items():
+        path.write_text(json.dumps({**good, name: value}))
+        with pytest.raises(ValueError, match=path.name):
+            read_likelihood(path)
