@@ -17,7 +17,7 @@ def scenes(source: str = "town/test") -> None:
     """List the scenes of a source, with what moves and stands in them.
 
     Args:
-        source: "town/train", "town/calibration" or "town/test".
+        source: a name such as "town/train", or kind:path?option=value&option=value (docs/scenes.md).
     """
     import numpy as np
     from rich.console import Console
@@ -121,7 +121,7 @@ def play(
     Args:
         defender: who guards the ego.
         out: where the GIF goes.
-        scenes: "town/train", "town/calibration" or "town/test".
+        scenes: a name such as "town/test", or kind:path?option=value&option=value (docs/scenes.md).
         action: "guided", "basis" or "full".
         fusion: "mean", "max", "sum", "v2vnet" or "disconet".
         n_vehicles: how many share their maps.
@@ -176,7 +176,7 @@ def check(
         action: "guided", "basis" or "full".
         observation: "features" or "compact".
         fusion: "mean", "max", "sum", "v2vnet" or "disconet".
-        scenes: "town/train", "town/calibration" or "town/test".
+        scenes: a name such as "town/test", or kind:path?option=value&option=value (docs/scenes.md).
         max_frames: frames of an episode.
         steps: calls a rule plays; more than an episode is better.
         seed: of the episodes and of the actions.

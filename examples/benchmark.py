@@ -46,6 +46,7 @@ class Args:
     seeds: tuple[int, ...] = (0,)
     vehicles: int = 5
     fusion: str = "mean"  # or max, sum, v2vnet, disconet
+    weights: str | None = None  # a file of the detector's, such as `cp_env.detector.train` writes; else those that ship
     budget: float = 0.3  # Δ
     protocol: str = "strict"  # how AP is counted: "strict" or "coperception"
     batch: int = 4  # scenes in lock-step
@@ -64,7 +65,14 @@ def main(args: Args) -> None:
     console = Console()
     torch.set_num_threads(args.threads)
     protocol = evaluation.Protocol(
-        args.scenes, chosen(args), args.frames, args.vehicles, args.budget, fusion=args.fusion, ap=args.protocol
+        args.scenes,
+        chosen(args),
+        args.frames,
+        args.vehicles,
+        args.budget,
+        fusion=args.fusion,
+        ap=args.protocol,
+        weights=args.weights,
     )
     cells = evaluation.plan(
         protocol,

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+import shlex
+import sys
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import tyro
 from numpy.testing import assert_array_equal
 
 import cp_env
@@ -18,7 +21,7 @@ from cp_env.bank import SceneBank
 from cp_env.cli import main
 from cp_env.detector import Detector, evaluate, train
 from cp_env.detector.data import prepare
-from cp_env.detector.weights import about, read_detector
+from cp_env.detector.weights import about
 from cp_env.evaluation.runner import open_bank
 from cp_env.scenes import open_source
 from cp_env.scenes.export import export
@@ -27,6 +30,7 @@ from cp_env.testing import check_scenes
 from cp_env.world import World
 from tests.reference.coperception_files import write_files
 from tests.toy import ToySource
+from tests.v2xsim_sets import Numbered
 
 TOY = ToySource(n_frames=2, n_connected=3)
 
@@ -79,17 +83,42 @@ def test_environments_play_in_it(spec: str, det: str, kind: str) -> None:
         cp_env.parallel_env("ego_only", scenes=scenes, n_vehicles=5).reset(seed=0)
 
 
-def test_train_calibrate_and_evaluate_by_the_same_commands(spec: str, tmp_path: Path) -> None:
-    small = {"frames": 1, "egos": 1, "views": 2, "agents": 3, "steps": 1, "threads": 1}
-    train.main(train.Args(scenes=spec, out=tmp_path, cache=tmp_path / "cache", **small))  # type: ignore[arg-type]
-    weights = tmp_path / "mean.safetensors"
-    assert about(weights)["trained"]["source"] == open_source(spec).digest
-    args = evaluate.Args(scenes=spec, weights=weights, n_vehicles=2, frames=2, json=tmp_path / "figures.json")
-    evaluate.main(replace(args, calibrate=True))
-    assert about(weights)["calibrated"] == spec
-    assert json.loads((tmp_path / "figures.json").read_text())["threshold"] == read_detector(weights).threshold
-    evaluate.main(replace(args, limit=1))
-    assert json.loads((tmp_path / "figures.json").read_text())["n_frames"] == 2
+def documented() -> list[list[str]]:
+    """The words of each command of the paper's setting, as the page has them."""
+    page = (Path(__file__).parents[1] / "docs/v2x-sim.md").read_text()
+    block = page.partition("```sh\nDATA=")[2].partition("```")[0].replace("\\\n", " ")
+    variables, _, commands = f"DATA={block}".partition(";")
+    for name, _, value in (variable.partition("=") for variable in shlex.split(variables)):
+        commands = commands.replace(f"${name}", value)
+    return [shlex.split(command)[1:] for command in commands.split("&&")]
+
+
+def test_the_papers_setting_by_the_documented_commands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Train on one scene, calibrate on the second, measure on the third; the official splits say which is which."""
+    root, weights = export(Numbered(n_frames=2), tmp_path / "set"), tmp_path / "mean.safetensors"
+    monkeypatch.setattr(sys, "argv", ["benchmark.py"])
+    from examples import benchmark
+
+    (_, trainer, *words), (_, evaluator, *more), (program, *rest) = documented()
+    assert (trainer, evaluator, program) == (train.__name__, evaluate.__name__, "examples/benchmark.py")
+    words, more, rest = (
+        [word.replace("/data/V2X-Sim-2.0", str(root)) for word in part] for part in (words, more, rest)
+    )
+    learn = tyro.cli(train.Args, args=words)
+    small = {"frames": 1, "egos": 1, "views": 2, "steps": 1, "threads": 1}
+    train.main(replace(learn, out=tmp_path, cache=tmp_path / "cache", **small))  # type: ignore[arg-type]
+    assert about(weights)["trained"]["source"] == open_source(learn.scenes).digest
+    calibrate = tyro.cli(evaluate.Args, args=more)
+    assert open_source(learn.scenes).names() == ("scene_0",) and open_source(calibrate.scenes).names() == ("scene_1",)
+    evaluate.main(replace(calibrate, weights=weights))
+    assert about(weights)["calibrated"] == calibrate.scenes
+    play = tyro.cli(benchmark.Args, args=rest)
+    assert (play.vehicles, play.frames, play.ks, play.protocol) == (5, 100, (1, 2, 3, 4), "coperception")
+    few = {"frames": 2, "defenders": ("prbi",), "attackers": ("pgd:steps=1",), "ks": (2,), "gif": False}
+    benchmark.main(replace(play, weights=str(weights), out=tmp_path / "out", **few))  # type: ignore[arg-type]
+    assert "scene_5" in json.dumps(json.loads((tmp_path / "out" / "results.json").read_text()))
+    with pytest.raises(ValueError, match="fuse by mean; choose that fusion, not max"):
+        open_bank(evaluation.Protocol(play.scenes, ("scene_5",), fusion="max", weights=str(weights)))
 
 
 def test_the_benchmark_takes_a_path_or_a_source(spec: str) -> None:

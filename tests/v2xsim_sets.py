@@ -12,7 +12,7 @@ import numpy as np
 
 from cp_env.scenes.export import export
 from cp_env.types import Scene, Sweep
-from tests.toy import ToySource
+from tests.toy import ToySource, toy_scene
 
 
 class Thin:
@@ -31,6 +31,14 @@ class Thin:
     def sweeps(self, scene: Scene, frames: Sequence[int]) -> list[list[Sweep]]:
         taken = self._source.sweeps(scene, frames)
         return [[replace(sweep, points=sweep.points[:: self._every]) for sweep in row] for row in taken]
+
+
+class Numbered(ToySource):
+    """Toy crossings with the numbers of a training, a validation and a test scene."""
+
+    def __init__(self, n_frames: int) -> None:
+        super().__init__(n_frames=n_frames)
+        self._scenes = {name: toy_scene(name=name, n_frames=n_frames) for name in ("scene_0", "scene_1", "scene_5")}
 
 
 def thin_set(root: Path, *, n_frames: int = 2, n_connected: int = 2) -> Path:

@@ -32,6 +32,7 @@ class Protocol:
     fusion: str = "mean"
     grace_frames: int = 1
     ap: str = "strict"  # how average precision is counted: see `cp_env.metrics`
+    weights: str | None = None  # a file of the detector's; by default those that ship
 
     def __post_init__(self) -> None:
         rules(self.ap)

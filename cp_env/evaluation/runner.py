@@ -8,12 +8,14 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from functools import lru_cache
+from pathlib import Path
 from typing import TypeVar
 
 import torch
 
 from cp_env.bank import SceneBank
 from cp_env.detector import load_detector
+from cp_env.detector.weights import read_detector
 from cp_env.evaluation.cells import Cell, Protocol, parse
 from cp_env.evaluation.stage import Attacker, Clock, Learned, open_defender, play
 from cp_env.evaluation.store import Store
@@ -25,8 +27,17 @@ T = TypeVar("T")
 
 @lru_cache(maxsize=1)
 def open_bank(protocol: Protocol) -> SceneBank:
-    """The bank of the protocol's scenes under the shipped detector, one a process."""
-    return SceneBank(open_source(protocol.scenes), load_detector(protocol.fusion), progress=False)
+    """The bank of the protocol's scenes under its detector, one a process.
+
+    Raises ValueError for weights that cannot be read, or that fuse otherwise than the protocol says.
+    """
+    if protocol.weights is None:
+        detector = load_detector(protocol.fusion)
+    else:
+        detector = read_detector(Path(protocol.weights)).freeze()
+        if detector.fusion != protocol.fusion:
+            raise ValueError(f"{protocol.weights} fuse by {detector.fusion}; choose that fusion, not {protocol.fusion}")
+    return SceneBank(open_source(protocol.scenes), detector, progress=False)
 
 
 @dataclass(frozen=True, kw_only=True)
