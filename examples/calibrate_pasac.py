@@ -130,7 +130,7 @@ def table(score: str, found: Found, epsilon: dict[int, float], args: Args) -> Ta
 
 def draw(found: dict[str, Found], epsilon: dict[str, dict[int, float]], args: Args) -> Path:
     sizes = range(2, args.n_vehicles + 1)
-    figure, grid = plt.subplots(len(PAPER), len(sizes), figsize=(3.2 * len(sizes), 6.2), layout="constrained")
+    figure, grid = plt.subplots(len(PAPER), len(sizes), figsize=(3.2 * len(sizes), 6.5), layout="constrained")
     colours = plt.get_cmap("viridis")(np.linspace(0, 0.9, args.n_vehicles))
     for (score, by_key), row in zip(found.items(), grid, strict=True):
         edges = np.linspace(0, max(pooled(by_key, key).max() for key in by_key) * 1.02, 26)
@@ -145,7 +145,8 @@ def draw(found: dict[str, Found], epsilon: dict[str, dict[int, float]], args: Ar
             axis.axvline(epsilon[score][size], color="crimson", ls="--", label="calibrated")
             axis.set(title=f"the ego and {size - 1} more", xlabel=f"{score} with the ego alone")
         row[0].set_ylabel("density")
-        row[-1].legend(fontsize=8)
+    handles, labels = grid[-1, -1].get_legend_handles_labels()  # the panel that has every number of liars
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), fontsize=9)
     args.out.mkdir(parents=True, exist_ok=True)
     path = args.out / "ego_only.png"
     figure.savefig(path, dpi=110)
