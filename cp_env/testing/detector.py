@@ -286,9 +286,9 @@ def gradients_flow(trial: Trial) -> None:
     """Logits and boxes have a finite gradient in every member's map, before the warp, and none in an outsider's."""
     maps = trial.maps.detach().clone().requires_grad_()
     received = trial.detector.warp(maps[torch.from_numpy(trial.order)], trial.poses)
-    for what, of in (("logits", 0), ("boxes", 1)):
+    for what in ("logits", "boxes"):
         dense = trial.look([0], [[0, 1, 3]], received)
-        (gradient,) = torch.autograd.grad((dense.logits, dense.boxes)[of].square().sum(), maps, retain_graph=True)
+        (gradient,) = torch.autograd.grad(getattr(dense, what).square().sum(), maps, retain_graph=True)
         require(bool(torch.isfinite(gradient).all()), f"the gradient of {what} is not finite")
         moved = gradient.flatten(1).any(1).tolist()
         require(moved[0] and moved[1] and moved[3], f"{what} have no gradient in a member's map")

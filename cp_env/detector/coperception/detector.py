@@ -20,6 +20,7 @@ from cp_env.detector.coperception import fusion, grid, heads
 from cp_env.detector.coperception.backbone import CHANNELS, Decoder, Encoder, Skips
 from cp_env.detector.coperception.checkpoint import FUSIONS, Weights, read
 from cp_env.detector.coperception.heads import Anchored, Heads
+from cp_env.detector.decoder import Dense
 from cp_env.types import Detections, Sweep
 
 CHUNK = 4
@@ -130,12 +131,13 @@ class CoperceptionDetector(nn.Module):
         scores, codes = self.heads(self.decoder(self.fuser(received, world, groups).flip(-1), stacked))
         return scores, codes
 
-    def detect(self, dense: Anchored, own: Float[np.ndarray, "B 2"] | None = None) -> list[Detections]:
+    def detect(self, dense: Dense, own: Float[np.ndarray, "B 2"] | None = None) -> list[Detections]:
         """The boxes of each view, best first, after non-maximum suppression at IoU 0.01, without the ego itself.
 
         Those above 0.7 are coperception's own, less the ego (`own` is where it stands in its grid frame, at the origin
         by default) and boxes whose centre is out of range.
         """
+        assert isinstance(dense, Anchored)  # what `perceive` gives: `Dense` alone does not hold all anchors
         scores, boxes = (part.cpu().double().numpy() for part in (dense.scores_found, dense.boxes_found))
         places = np.zeros((len(scores), 2)) if own is None else own
         return [self._boxes(*view) for view in zip(boxes, scores, places, strict=True)]
@@ -181,10 +183,11 @@ class CoperceptionDetector(nn.Module):
     def _boxes(
         self, boxes: Float[np.ndarray, "K 5"], scores: Float[np.ndarray, " K"], own: Float[np.ndarray, " 2"]
     ) -> Detections:
-        rows, kept = np.flatnonzero(scores > 0), []
+        kept: list[int] = []
+        rows = np.flatnonzero(scores > 0)
         while len(rows) and len(kept) < MOST_BOXES:  # best first; the overlaps of few boxes are few
             best, rows = rows[0], rows[1:]
-            kept.append(best)
+            kept.append(int(best))
             rows = rows[pairwise_iou(boxes[best][None], boxes[rows])[0] <= NMS_IOU]
         boxes, scores = boxes[kept], scores[kept]
         inside = (np.abs(boxes[:, :2]) <= self.extent).all(axis=1)

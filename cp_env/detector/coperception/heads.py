@@ -48,14 +48,13 @@ class Heads(nn.Module):
 
     def __init__(self, weights: Weights) -> None:
         super().__init__()
-        first = [
-            weights.conv("classification.conv1", "classification.bn1", (32, 32, 3, 3)),
-            weights.conv("regression.box_prediction.0", "regression.box_prediction.1", (32, 32, 3, 3)),
-        ]
-        self.first = layer(*(torch.cat(parts) for parts in zip(*first, strict=True)))
+        box, shape = "regression.box_prediction", (32, 32, 3, 3)
+        first, first_bias = weights.conv("classification.conv1", "classification.bn1", shape)
+        second, second_bias = weights.conv(f"{box}.0", f"{box}.1", shape)
+        self.first = layer(torch.cat([first, second]), torch.cat([first_bias, second_bias]))
         weight, bias = weights.conv("classification.conv2", None, (2 * len(ANCHORS), 32, 1, 1))
         self.score = layer(weight[1::2] - weight[::2], bias[1::2] - bias[::2])
-        self.code = layer(*weights.conv("regression.box_prediction.3", None, (CODE * len(ANCHORS), 32, 1, 1)))
+        self.code = layer(*weights.conv(f"{box}.3", None, (CODE * len(ANCHORS), 32, 1, 1)))
 
     def forward(
         self, x: Float[Tensor, "B 32 256 256"]

@@ -1,0 +1,113 @@
+"""A pretended accelerator: what would fail on a device of its own fails here, on a machine that has none.
+
+Tensors "on the device" are real ones on the CPU behind a wrapper that says it is elsewhere. As on an accelerator, an
+operation on tensors of two places raises (numbers without axes may come from the CPU), numpy cannot read them, and only
+`.cpu()`, `.item()` and their like bring them back. The pretended place is torch's "meta", which needs no hardware; so
+`device="meta"`, in `with pretended():`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.overrides import TorchFunctionMode
+from torch.utils._python_dispatch import TorchDispatchMode
+from torch.utils._pytree import tree_flatten, tree_map
+
+AWAY = torch.device("meta")
+
+
+class Away(Tensor):
+    """A tensor that says it is on the device; `here` is where its numbers are."""
+
+    here: Tensor
+
+    @staticmethod
+    def __new__(cls, here: Tensor) -> Away:
+        made = Tensor._make_wrapper_subclass(
+            cls,
+            here.shape,
+            strides=here.stride(),
+            storage_offset=here.storage_offset(),
+            dtype=here.dtype,
+            device=AWAY,
+            requires_grad=here.requires_grad,
+        )
+        made.here = here
+        return made
+
+    def __repr__(self, *, tensor_contents: object = None) -> str:
+        return f"Away({self.here!r})"
+
+    def tolist(self) -> Any:
+        return self.here.tolist()
+
+    @classmethod
+    def __torch_dispatch__(cls, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        return dispatched(func, args, kwargs or {})
+
+
+class Pretended(TorchDispatchMode):
+    """Catches what makes tensors on the device from nothing."""
+
+    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        if torch._C._dispatch_has_kernel_for_dispatch_key(func.name(), "CompositeImplicitAutograd"):
+            with self:  # made of others, into which inference mode does not take it apart
+                return func.decompose(*args, **(kwargs or {}))
+        return dispatched(func, args, kwargs or {})
+
+
+class FromNumbers(TorchFunctionMode):
+    """Catches what makes tensors of Python's numbers, which does not reach the dispatcher."""
+
+    def __torch_function__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        kwargs = kwargs or {}
+        if func is torch.tensor and kwargs.get("device") is not None and torch.device(kwargs["device"]) == AWAY:
+            return torch.tensor(*args, **{**kwargs, "device": "cpu"}).to(AWAY)
+        if func is Tensor.new_tensor and isinstance(args[0], Away):
+            return args[0].here.new_tensor(*args[1:], **kwargs).to(AWAY)
+        return func(*args, **kwargs)
+
+
+def dispatched(func: Any, args: Any, kwargs: dict[str, Any]) -> Any:
+    """The operation, done on the CPU; its result is on the device if its operands or its `device` say so."""
+    flat, _ = tree_flatten((args, kwargs))
+    away = any(isinstance(one, Away) for one in flat)
+    asked = kwargs.get("device")
+    if func is torch.ops.aten._local_scalar_dense.default:
+        return func(*tree_map(brought, args))
+    moves = func in (torch.ops.aten._to_copy.default, torch.ops.aten.copy_.default)
+    if away and not moves:
+        strangers = [one for one in flat if isinstance(one, Tensor) and not isinstance(one, Away) and one.dim()]
+        indexing = func in (
+            torch.ops.aten.index.Tensor,
+            torch.ops.aten.index_put_.default,
+            torch.ops.aten.index_put.default,
+        )
+        if strangers and not indexing:
+            raise RuntimeError(
+                f"{func}: tensors on the device and on the CPU meet: {[tuple(s.shape) for s in strangers]}"
+            )
+    there = away if asked is None else torch.device(asked) == AWAY
+    kwargs = {**kwargs, "device": torch.device("cpu")} if asked is not None else kwargs
+    result = func(*tree_map(brought, args), **tree_map(brought, kwargs))
+    if func is torch.ops.aten.copy_.default:
+        return args[0]
+    if func._schema.is_mutable and isinstance(args[0] if args else None, Away):
+        return args[0]
+    return tree_map(lambda one: Away(one) if there and isinstance(one, Tensor) else one, result)
+
+
+def brought(one: Any) -> Any:
+    return one.here if isinstance(one, Away) else one
+
+
+@contextmanager
+def pretended() -> Iterator[None]:
+    """`device="meta"` works, and is a place of its own."""
+    with Pretended(), FromNumbers():
+        yield
