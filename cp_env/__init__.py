@@ -62,8 +62,9 @@ def parallel_env(
         n_attackers: k, how many of them lie, 0 < k < n; drawn anew at each reset. The ego may be one of them.
         attackers: fixes who lies (distinct numbers, 0 is the ego) and with it k; nothing is drawn then.
         fusion: how maps are fused: of our own detector, it names the shipped weights.
-        scenes: "town" (the training split), "town/train", "town/calibration", "town/test", a kind with a path and options
-            such as "v2x-sim:/data/V2X-Sim-2.0?split=test" (`cp_env.scenes.SOURCES`), or any `SceneSource`.
+        scenes: "town" (the training split), "town/train", "town/calibration", "town/test", a kind of
+            `cp_env.scenes.SOURCES` with its path and options ("v2x-sim:/data/V2X-Sim-2.0?split=test"), or any
+            `SceneSource`.
         action: how a Box in [-1, 1] becomes a perturbation. "full": the raw map (C, H, W), times the budget; "basis": a
             few coefficients on fixed directions; "guided": at most 16 numbers that steer the detector's gradient.
             Numbers outside the box are clipped to it; NaN and infinity are refused.
