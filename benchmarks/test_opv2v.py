@@ -24,7 +24,8 @@ class Dense(Clip):
 
     def load(self, name: str) -> Scene:
         scene = super().load(name)
-        driving = np.flatnonzero(~(np.ptp(scene.pose[..., :2], axis=0) == 0).all(axis=1))
+        whole = self._source.load(name).pose[..., :2]
+        driving = np.flatnonzero(~(np.ptp(whole, axis=0) == 0).all(axis=1))
         pose, size = scene.pose[:, driving], scene.size[driving]
         return replace(scene, pose=pose, size=size, connected=np.searchsorted(driving, scene.connected), rsu=None)
 

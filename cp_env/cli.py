@@ -221,7 +221,7 @@ def main(args: list[str] | None = None) -> None:
         args = ["-".join(args[:2]), *args[2:]]
     try:
         tyro.extras.subcommand_cli_from_dict(commands, prog="cp-env", description=__doc__, args=args)
-    except ValueError as error:
+    except (ValueError, ImportError) as error:  # bad input, or an extra that is not installed
         raise SystemExit(f"cp-env: {error}") from error
 
 
