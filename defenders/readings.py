@@ -30,7 +30,7 @@ class Reading:
     Under a perfect verifier, n = 5 (`python examples/reproduce/prbi_perfect.py --readings --episodes 500`), frames to
     convergence and percent of the innocents convicted at k = 1, 2, 3, 4; no liar is missed unless marked *:
 
-        split     refresh  second      frames                    innocents convicted
+        split     refresh  second/ties frames                    innocents convicted
         once      no       floor       3.01  3.81  3.71  3.62     0  17  20   0
         once      yes      floor       3.01  3.74  3.75  3.19     0  17  22   0
         halves    no       floor       3.01  3.81  3.27  2.67     0  17  22   0
@@ -41,7 +41,7 @@ class Reading:
         replace   yes      floor       3.01  4.00  4.37  4.00     0  15  22   0
         once      no       nearest *   2.57  2.81  2.59  2.48     6  18  20   0
         once      no       ceiling *   2.19  2.09  2.00  2.14    10  26  24   0
-        once      no       floor       TIES
+        once      no       by index    3.04  3.70  3.55  3.26     0  34  34   0
         the paper                      2.25  2.77  3.36  4.27     0   6   0   0
 
     With the second condition rounded otherwise than m itself, liars are missed (25 to 61 %), which the paper never

@@ -213,7 +213,7 @@ def draw(rows: list[Row], path: Path, where: str) -> None:
             axes[1, column].set_xlabel(label if name == "alpha" else "window w of the t-test, frames (α = 0.01)")
     axes[0, 0].set_ylabel("frames to convergence")
     axes[1, 0].set_ylabel("innocents convicted, %")
-    axes[0, 1].legend(ncols=2, fontsize="small")
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize="small")
     figure.suptitle(f"PRBI, n = {N}, {where}: parameters of the t-test, 95 % intervals")
     figure.savefig(path, dpi=120)
     plt.close(figure)

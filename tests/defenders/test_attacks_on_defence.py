@@ -16,7 +16,7 @@ from defenders.tally import Tally, play_many
 from examples.reproduce import prbi_attacks
 from examples.reproduce.prbi_attacks import FIVE, SITUATIONS
 
-EPISODES = 25
+EPISODES = 12
 
 
 def robust() -> Prbi:
@@ -30,10 +30,8 @@ def played(defender: Prbi, terms: Terms, episodes: int = EPISODES) -> Tally:
 @pytest.mark.parametrize("situation", sorted(set(SITUATIONS) - {"framing", "nobody"}))
 def test_robust_and_rearmed_withstands(situation: str) -> None:
     tally = played(robust(), SITUATIONS[situation])
-    assert tally.converged.mean() > 0.9  # "first frame" has to guess which of the lone views is right, if k = n - 1
-    assert (tally.solved == tally.converged).all()
-    late = tally.deceived[:, -10:]
-    assert not late[tally.converged].any()
+    assert tally.converged.all() and tally.solved.all()
+    assert not tally.deceived[:, -10:].any()
 
 
 @pytest.mark.parametrize("stopping", ["paper", "robust"])
@@ -55,7 +53,7 @@ def test_lying_seldom_buys_nothing(period: int, stopping: str) -> None:
 def test_liars_on_a_schedule_are_all_found(period: int, k: int) -> None:
     for stopping in ("paper", "robust"):
         terms = replace(FIVE, n_liars=k, schedule=every(period, start=1), max_frames=100, until_converged=True)
-        tally = played(Prbi(stopping=stopping), terms, 8)
+        tally = played(Prbi(stopping=stopping), terms, 4)
         assert tally.converged.all() and (tally.identified == 1).all()
         assert not tally.deceived.any()
 
@@ -90,7 +88,7 @@ def test_a_turncoat_goes_unnoticed_without_rearm(stopping: str) -> None:
 @pytest.mark.parametrize("k", [1, 2, 3, 4])
 @pytest.mark.parametrize("stopping", ["paper", "robust"])
 def test_a_turncoat_is_found_with_rearm(stopping: str, k: int) -> None:
-    tally = played(Prbi(stopping=stopping, rearm=True), replace(SITUATIONS["turncoat"], n_liars=k), 12)
+    tally = played(Prbi(stopping=stopping, rearm=True), replace(SITUATIONS["turncoat"], n_liars=k), 6)
     assert tally.converged.all() and (tally.identified == 1).all()
     assert not tally.deceived.any(), "neither the turncoat nor who was convicted before is ever fused while lying"
 
@@ -123,7 +121,7 @@ def test_liars_out_of_step_fool_the_published_rule() -> None:
     assert tally.solved.mean() < 0.5 and (tally.deceived > 0).any()
 
 
-def test_the_rows(capsys: pytest.CaptureFixture[str], tmp_path: object) -> None:
+def test_the_rows() -> None:
     row = prbi_attacks.measure(Prbi(stopping="robust"), SITUATIONS["all but one"], 5, 0)
     assert (row.sure, row.right, row.ID, row.MC, row.fooled) == (1, 1, 1, 0, 0)
     assert row.most <= 8 and np.isfinite(row.looks)

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from defenders import Prbi, Query, Verdict
-from defenders.evidence import settled
+from defenders.evidence import settled, upper_quantile
 from defenders.perfect import Episode, PerfectWorld, Terms, play
 from defenders.protocol import View
 from defenders.tally import play_many
@@ -26,12 +26,12 @@ def is_right_within(episode: Episode, frames: int) -> bool:
 
 @pytest.mark.parametrize("n", range(2, 21))
 def test_robust_stops_within_n_frames_with_the_right_set(n: int) -> None:
-    """Every frame settles a vehicle, or the next settles two. One seed for each k; `prbi_stopping.py` has the rest."""
-    for k in range(1, n):
+    """Every frame settles a vehicle, or the next settles two. Some k a test; `prbi_stopping.py` plays the whole grid."""
+    for k in {1, n - 1, *range(1 + n % 3, n, 3)}:
         assert is_right_within(play(Prbi(stopping="robust"), n, k, seed=100 * n + k), n), f"k = {k}"
 
 
-@settings(max_examples=30)
+@settings(max_examples=15)
 @given(fleets, st.integers(0, 2**32))
 def test_robust_never_errs_on_the_way(fleet: tuple[int, int], seed: int) -> None:
     n, k = fleet
@@ -46,18 +46,16 @@ def test_robust_never_errs_on_the_way(fleet: tuple[int, int], seed: int) -> None
 @pytest.mark.parametrize("k", [1, 2, 3, 4])
 def test_robust_convicts_no_innocent_of_five(k: int) -> None:
     """The published rule convicts 17 and 20 % of them at k = 2 and 3."""
-    tally = play_many(Prbi(stopping="robust"), Terms(n_vehicles=5, n_liars=k), episodes=100, seed=k)
+    tally = play_many(Prbi(stopping="robust"), Terms(n_vehicles=5, n_liars=k), episodes=40, seed=k)
     assert tally.converged.all() and not tally.wronged.any() and tally.solved.all()
 
 
 @given(st.integers(2, 40), st.floats(1e-3, 1.0), st.sampled_from([0.2, 0.05, 0.01]))
 def test_the_t_test_does_not_see_how_steep_a_ramp_is(w: int, slope: float, alpha: float) -> None:
     """Eq. (14) on w equally spaced values of which the last is m: t = (w - 1)√3 / √(w + 1), whatever their distance."""
-    from scipy.stats import t
-
     statistic = (w - 1) * 3**0.5 / (w + 1) ** 0.5
     values = [slope * i for i in range(w)]
-    assert settled(values, values[-1], alpha) == (statistic <= t.isf(alpha / 2, w - 1))
+    assert settled(values, values[-1], alpha) == (statistic <= upper_quantile(alpha, w - 1))
 
 
 def test_why_the_published_rule_does_not_stop() -> None:
@@ -70,7 +68,7 @@ def test_why_the_published_rule_does_not_stop() -> None:
 @pytest.mark.parametrize("n", range(2, 8))
 def test_laws_in_a_fickle_world(n: int, knobs: dict[str, object]) -> None:
     """Similarities at random: verdicts stay lawful, and the state survives pickling."""
-    for seed in range(4):
+    for seed in range(2):
         world, defender = FickleWorld(n, frozenset({0}), seed=seed), Prbi(**knobs)  # type: ignore[arg-type]
         defender.reset(n, np.random.default_rng(seed))
         for _ in range(25):
