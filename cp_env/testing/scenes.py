@@ -311,8 +311,7 @@ def _require_same(kept: list[Sweep], told: list[Sweep], where: str) -> None:
     require(len(kept) == len(told), f"{where}: {len(told)} sweeps, not {len(kept)}")
     for agent, (a, b) in enumerate(zip(kept, told, strict=True)):
         same = np.array_equal(a.points, b.points) and np.array_equal(a.origin, b.origin)
-        known = a.hits is not None and b.hits is not None
-        same &= np.array_equal(a.hits, b.hits) if known else a.hits is b.hits
+        same &= a.hits is b.hits if a.hits is None or b.hits is None else np.array_equal(a.hits, b.hits)
         require(same, f"{where}: agent {agent} has another sweep")
 
 
