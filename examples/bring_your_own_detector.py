@@ -49,6 +49,8 @@ class Toy(BaseDetector):
     channels = BEV.slices
     threshold = 0.5
 
+    evidence: Tensor
+
     def __init__(self) -> None:
         super().__init__()
         self.register_buffer("evidence", torch.tensor(EVIDENCE))

@@ -297,14 +297,15 @@ def gradients_flow(trial: Trial) -> None:
 
 def weights_are_frozen(trial: Trial) -> None:
     """A module is in evaluation mode, its weights ask for no gradient and stay what they are, and so do its buffers."""
-    if not isinstance(trial.detector, nn.Module):
+    module = trial.detector
+    if not isinstance(module, nn.Module):
         return
-    require(not any(module.training for module in trial.detector.modules()), "it is in training mode: call freeze()")
-    asking = [name for name, parameter in trial.detector.named_parameters() if parameter.requires_grad]
+    require(not any(part.training for part in module.modules()), "it is in training mode: call freeze()")
+    asking = [name for name, parameter in module.named_parameters() if parameter.requires_grad]
     require(not asking, f"parameters ask for a gradient: {', '.join(asking)}: call freeze()")
-    before = {name: tensor.clone() for name, tensor in trial.detector.state_dict().items()}
+    before = {name: tensor.clone() for name, tensor in module.state_dict().items()}
     trial.detector.encode(trial.sweeps)
-    changed = [name for name, tensor in trial.detector.state_dict().items() if not torch.equal(tensor, before[name])]
+    changed = [name for name, tensor in module.state_dict().items() if not torch.equal(tensor, before[name])]
     require(not changed, f"encoding changed {', '.join(changed)}")
 
 
