@@ -142,7 +142,7 @@ def read_note(path: Path) -> Note:
 def _note(said: dict[str, Any]) -> Note:
     if "lidar_pose" not in said:
         raise KeyError("lacks lidar_pose")
-    optional = [_numbers(said, key, 6) if key in said else None for key in ("true_ego_pos", "predicted_ego_pos")]
+    body, predicted = (_numbers(said, key, 6) if key in said else None for key in ("true_ego_pos", "predicted_ego_pos"))
     vehicles = {}
     for number, entry in (said.get("vehicles") or {}).items():
         if not isinstance(entry, dict):
@@ -151,7 +151,7 @@ def _note(said: dict[str, Any]) -> Note:
         if (listed[3] <= 0).any():
             raise ValueError(f"vehicle {number}: extent {listed[3].tolist()} is not positive")
         vehicles[int(number)] = Listed(*listed)
-    return Note(_numbers(said, "lidar_pose", 6), *optional, vehicles)
+    return Note(_numbers(said, "lidar_pose", 6), body, predicted, vehicles)
 
 
 def _numbers(table: dict[str, Any], key: str, count: int, where: str = "") -> Float[np.ndarray, " n"]:

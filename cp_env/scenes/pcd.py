@@ -96,7 +96,8 @@ def _header(content: bytes) -> tuple[Header, bytes]:
 
 def _axes(header: Header) -> list[tuple[str, int, int]]:
     """Of x, y and z: its column's name, and how many numbers and how many bytes of a point come before it."""
-    axes, numbers, size = {}, 0, 0
+    axes: dict[str, tuple[str, int, int]] = {}
+    numbers, size = 0, 0
     for name in header.row.names or ():
         axes.setdefault(name.split(":")[1], (name, numbers, size))
         numbers, size = numbers + header.row[name].shape[0], size + header.row[name].itemsize
