@@ -26,7 +26,7 @@ def is_right_within(episode: Episode, frames: int) -> bool:
 
 @pytest.mark.parametrize("n", range(2, 21))
 def test_robust_stops_within_n_frames_with_the_right_set(n: int) -> None:
-    """Every frame settles a vehicle, or the next settles two. Some k a test; `prbi_stopping.py` plays the whole grid."""
+    """Every frame settles a vehicle, or the next settles two. Some k each; `prbi_stopping.py` plays the whole grid."""
     for k in {1, n - 1, *range(1 + n % 3, n, 3)}:
         assert is_right_within(play(Prbi(stopping="robust"), n, k, seed=100 * n + k), n), f"k = {k}"
 
