@@ -9,8 +9,9 @@ operation on tensors of two places raises (numbers without axes may come from th
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import Any
+from unittest import mock
 
 import torch
 from torch import Tensor
@@ -55,9 +56,6 @@ class Pretended(TorchDispatchMode):
     """Catches what makes tensors on the device from nothing."""
 
     def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
-        if torch._C._dispatch_has_kernel_for_dispatch_key(func.name(), "CompositeImplicitAutograd"):
-            with self:  # made of others, into which inference mode does not take it apart
-                return func.decompose(*args, **(kwargs or {}))
         return dispatched(func, args, kwargs or {})
 
 
@@ -108,6 +106,10 @@ def brought(one: Any) -> Any:
 
 @contextmanager
 def pretended() -> Iterator[None]:
-    """`device="meta"` works, and is a place of its own."""
-    with Pretended(), FromNumbers():
+    """`device="meta"` works, and is a place of its own. Inference mode, which makes no wrappers, is `no_grad` here."""
+
+    def inference_mode(mode: bool = True) -> AbstractContextManager[Any]:
+        return torch.no_grad() if mode else nullcontext()
+
+    with mock.patch.object(torch, "inference_mode", inference_mode), Pretended(), FromNumbers():
         yield
