@@ -7,8 +7,8 @@ from jaxtyping import Bool
 
 from defenders.design import Outlook, Plan, Reference, best_reference, outlook, plan, safest
 from defenders.likelihood import Likelihood, open_likelihood
-from defenders.particles import Particles
-from defenders.posterior import LYING, Comparison, Posterior
+from defenders.particles import IDLE, Particles
+from defenders.posterior import STARTS, STAYS, Comparison, Posterior
 from defenders.protocol import Defender, Frame, Inspection, Query, Verdict, View
 
 Members = Bool[np.ndarray, " n"]
@@ -25,7 +25,8 @@ class Bayes(Defender):
     for it is not, so that no frame ever rests on more than two looks beside the free one.
 
     The references are the views of one earlier frame, whose honesty is part of the posterior. This frame's views
-    replace them unless the old ones are likelier to hold an honest one, which counts `AGEING` less a frame.
+    that are likely to be honest replace them, unless the old ones are likelier to be, by more than `PATIENCE` and by
+    more than what a reference loses with age.
     """
 
     max_queries = 2
@@ -36,7 +37,7 @@ class Bayes(Defender):
         likelihood: str | Likelihood = "calibrated",
         certainty: float = 0.99,
         turn: float = 1e-3,
-        first: float = 3e-3,
+        first: float = 1e-4,
         worthwhile: float = 0.05,
         exact_to: int = 15,
         particles: int = 1024,
@@ -74,11 +75,12 @@ class Bayes(Defender):
         )
         self.references: dict[frozenset[int], View] = {}
         self.age = 0  # of the references, frames
+        self.lying = self.first  # probability that the liars are at work in the coming frame
 
     def inspect(self, frame: Frame) -> Inspection:
         everyone = frozenset(range(self.n))
         views: dict[frozenset[int], View] = {everyone: frame.seen}
-        self.posterior.predict(LYING if frame.index else self.first)
+        self.posterior.predict(self.lying)
         self.age += 1
         self._learn(frame, everyone, frame.seen)
         plan = self._plan()
@@ -109,8 +111,8 @@ class Bayes(Defender):
         return [Reference(self._members(group), table) for group in self.references]
 
     def _plan(self) -> Plan | None:
-        """The two groups to pay for, or None where they would not tell enough."""
-        if not self.references or self.n < 2:
+        """The two groups to pay for, or None where they would not tell enough; surely so where nobody lies."""
+        if not self.references or self.n < 2 or self.posterior.lies() < IDLE:
             return None
         best = plan(self._sources(), self._outlook(), self.rng)
         return best if best.gain >= self.worthwhile else None
@@ -132,6 +134,7 @@ class Bayes(Defender):
         old = max((self.posterior.clean(self._members(g), now=False) for g in self.references), default=0.0)
         best = max(clean.values())
         renew = best * self.likelihood.power(1) >= PATIENCE * old * self.likelihood.power(self.age + 1)
+        self.lying = STARTS + (STAYS - STARTS) * self.posterior.lies()
         self.posterior.advance(renew)
         if renew:
             self.references = {group: view for group, view in views.items() if clean[group] >= best / 2}

@@ -70,7 +70,8 @@ def outcomes(groups: Groups, reference: Reference, of: Outlook) -> Outcomes:
     """Probability of each bin, for each group compared with the reference under each hypothesis."""
     liars = (groups @ of.now.T - of.glitch[0]).astype(np.int64)
     its = (reference.group @ of.then.T - of.glitch[1]).astype(np.int64)
-    rows = reference.table.rows(groups.sum(1)[:, None], liars, int(reference.group.sum()), its[None])
+    sizes, shared = groups.sum(1)[:, None], (groups & reference.group).sum(1)[:, None]
+    rows = reference.table.rows(sizes, liars, int(reference.group.sum()), its[None], shared)
     return reference.table.density[rows]
 
 

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import json
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -30,8 +31,11 @@ class Likelihood(ABC):
     oldest: int  # frames; an older reference counts as one of this age
 
     @abstractmethod
-    def clean(self, size: int, reference: int, age: int) -> Row:
-        """Nobody lies in the view of `size` vehicles nor in the reference, of `reference` vehicles, `age` frames old."""
+    def clean(self, size: int, reference: int, shared: int, age: int) -> Row:
+        """Nobody lies in the view of `size` vehicles, nor in the reference of `reference`, `shared` of them the same.
+
+        The reference is `age` frames old.
+        """
 
     @abstractmethod
     def dirty(self, size: int, liars: int) -> Row:
@@ -51,7 +55,7 @@ class Likelihood(ABC):
 
     def power(self, age: int) -> float:
         """How well a reference of this age tells a liar: total variation of what one liar and none show."""
-        one, none = self.dirty(1, 1), self.clean(1, 1, age)
+        one, none = self.dirty(1, 1), self.clean(1, 1, 1, age)
         return float(np.abs(one - none).sum() / 2)
 
     def bin(self, similarity: float) -> int:
@@ -68,21 +72,28 @@ class Table:
 
     def __init__(self, likelihood: Likelihood, n: int, age: int) -> None:
         rows = [likelihood.glitch(), likelihood.both()]
-        self._clean = np.zeros((n + 1, n + 1), dtype=np.int64)
+        self._clean = np.zeros((n + 1, n + 1, n + 1), dtype=np.int64)
         self._dirty = np.zeros((n + 1, n + 1), dtype=np.int64)
+        known: dict[bytes, int] = {}
+        for size, other in product(range(1, n + 1), repeat=2):
+            for shared in range(max(size + other - n, 0), min(size, other) + 1):
+                row = likelihood.clean(size, other, shared, age)
+                if row.tobytes() not in known:
+                    known[row.tobytes()] = len(rows)
+                    rows.append(row)
+                self._clean[size, other, shared] = known[row.tobytes()]
         for size in range(1, n + 1):
-            for other in range(1, n + 1):
-                self._clean[size, other] = len(rows)
-                rows.append(likelihood.clean(size, other, age))
             for liars in range(1, size + 1):
                 self._dirty[size, liars] = len(rows)
                 rows.append(likelihood.dirty(size, liars))
         self.density: Float[np.ndarray, "R B"] = np.array(rows)
 
-    def rows(self, size: int | Counts, liars: Counts, reference: int, its_liars: Counts) -> Counts:
+    def rows(
+        self, size: int | Counts, liars: Counts, reference: int, its_liars: Counts, shared: int | Counts
+    ) -> Counts:
         """Rows of `density`, given liars at work in the view and in the reference; -1 liars stand for a glitch."""
         one = np.where(liars == 0, self._dirty[reference, its_liars], self._dirty[size, liars])
-        row = np.where((liars == 0) & (its_liars == 0), self._clean[size, reference], one)
+        row = np.where((liars == 0) & (its_liars == 0), self._clean[size, reference, shared], one)
         row = np.where((liars > 0) & (its_liars > 0), BOTH, row)
         return np.where((liars < 0) | (its_liars < 0), GLITCH, row)
 
@@ -105,7 +116,7 @@ class Verifier(Likelihood):
     edges = np.array([0.0, 0.5, 1.0])
     oldest = 1
 
-    def clean(self, size: int, reference: int, age: int) -> Row:
+    def clean(self, size: int, reference: int, shared: int, age: int) -> Row:
         return np.array([self.false_fail, 1 - self.false_fail])
 
     def dirty(self, size: int, liars: int) -> Row:
@@ -127,7 +138,7 @@ class Calibrated(Likelihood):
     Of every density a share `tail` is replaced by the mean of all: no similarity, however odd, speaks for one kind of
     comparison against another by more than a bounded ratio. Where nothing was measured:
 
-    * a clean view of more vehicles than measured counts as one of the most measured;
+    * a clean view of more vehicles than measured counts as one of the most measured, sharing as large a part;
     * more liars than measured in a group of a measured size count as the most measured;
     * d liars among more vehicles than measured, m, count as d m / size among m, rounded; where that is below one, the
       lie may be too dilute to show: so much of the density of one liar among m, and the rest of none.
@@ -136,43 +147,49 @@ class Calibrated(Likelihood):
     def __init__(
         self,
         edges: Float[np.ndarray, " E"],
-        clean: Float[np.ndarray, "A m m B"],
+        clean: Sequence[Mapping[tuple[int, int, int], Row]],
         dirty: Mapping[tuple[int, int], Row],
         both: Row,
         *,
         tail: float,
     ) -> None:
-        """`clean[age - 1, size - 1, reference - 1]` and `dirty[size, liars]` are histograms, else ValueError."""
-        most = clean.shape[1]
+        """`clean[age - 1][size, reference, shared]` and `dirty[size, liars]` are histograms, else ValueError."""
+        most = max((size for size, _ in dirty), default=0)
         if not (edges[0] == 0 and edges[-1] == 1 and (np.diff(edges) > 0).all()):
             raise ValueError(f"edges must rise from 0 to 1, got {edges.tolist()}")
         if missing := [size for size in range(1, most + 1) if (size, 1) not in dirty]:
             raise ValueError(f"one liar in a group must be measured for every size, but is missing for {missing}")
         if not 0 < tail < 1:
             raise ValueError(f"tail is the share of every density that is the mean of all, between 0 and 1, got {tail}")
-        cells = np.concatenate([clean.reshape(-1, clean.shape[-1]), np.array(list(dirty.values())), both[None]])
+        if not clean or any(set(of) != set(overlaps(most)) for of in clean):
+            raise ValueError(f"honest views of every two groups of {most} vehicles must be measured; calibrate again")
+        honest, lying = np.array([list(of.values()) for of in clean]), np.array(list(dirty.values()))
+        cells = np.concatenate([honest.reshape(-1, len(both)), lying, both[None]])
         if not (np.isfinite(cells).all() and (cells >= 0).all() and np.allclose(cells.sum(1), 1, atol=1e-3)):
             raise ValueError("every density must be a histogram that sums to one; calibrate again")
         self.edges, self.oldest, self.most = edges, len(clean), most
-        self._clean, self._dirty, self._both = clean, dict(dirty), both
-        kinds = [clean.reshape(-1, clean.shape[-1]).mean(0), np.mean(list(dirty.values()), axis=0)]
+        kinds = [honest.mean((0, 1)), lying.mean(0)]
         self._mean = np.mean(kinds, axis=0) / np.sum(np.mean(kinds, axis=0))
         self.tail = tail
+        self._clean = [{kind: self._tailed(row) for kind, row in of.items()} for of in clean]
+        self._dirty, self._both = {kind: self._tailed(row) for kind, row in dirty.items()}, self._tailed(both)
 
-    def clean(self, size: int, reference: int, age: int) -> Row:
-        age = min(age, self.oldest)
-        return self._tailed(self._clean[age - 1, min(size, self.most) - 1, min(reference, self.most) - 1])
+    def clean(self, size: int, reference: int, shared: int, age: int) -> Row:
+        one, other = min(size, self.most), min(reference, self.most)
+        common = round(shared * min(one, other) / min(size, reference))
+        common = max(common, one + other - self.most)
+        return self._clean[min(age, self.oldest) - 1][one, other, common]
 
     def dirty(self, size: int, liars: int) -> Row:
         if size <= self.most:
-            return self._tailed(self._dirty[size, max(d for s, d in self._dirty if s == size and d <= liars)])
+            return self._dirty[size, max(d for s, d in self._dirty if s == size and d <= liars)]
         diluted = liars * self.most / size
         if diluted >= 1:
             return self.dirty(self.most, round(diluted))
-        return diluted * self.dirty(self.most, 1) + (1 - diluted) * self.clean(self.most, self.most, 1)
+        return diluted * self.dirty(self.most, 1) + (1 - diluted) * self.clean(self.most, self.most, self.most, 1)
 
     def both(self) -> Row:
-        return self._tailed(self._both)
+        return self._both
 
     def glitch(self) -> Row:
         return self._mean
@@ -182,12 +199,21 @@ class Calibrated(Likelihood):
         middle = (self.edges[1:] + self.edges[:-1]) / 2
         if liars:
             return float(self.dirty(size, liars) @ middle)
-        lack = 1 - float(self.clean(size, self.most, 1) @ middle)
+        lack = 1 - float(self.clean(size, max(size, self.most), size, 1) @ middle)
         return 1 - lack * min(1.0, self.most / size)
 
     def _tailed(self, row: Row) -> Row:
         mixed = (1 - self.tail) * row + self.tail * self._mean
         return mixed / mixed.sum()
+
+
+def overlaps(n: int) -> list[tuple[int, int, int]]:
+    """Sizes of two groups among n vehicles, and of what they share."""
+    return [
+        (one, other, shared)
+        for one, other in product(range(1, n + 1), repeat=2)
+        for shared in range(max(one + other - n, 0), min(one, other) + 1)
+    ]
 
 
 def open_likelihood(likelihood: str | Likelihood) -> Likelihood:
@@ -206,7 +232,9 @@ def read_likelihood(path: Path) -> Calibrated:
     try:
         stored: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         dirty = {(int(s), int(d)): np.array(row) for s, of in stored["dirty"].items() for d, row in of.items()}
-        edges, clean, both = (np.array(stored[name], dtype=float) for name in ("edges", "clean", "both"))
+        edges, both = (np.array(stored[name], dtype=float) for name in ("edges", "both"))
+        kinds = overlaps(max(size for size, _ in dirty))
+        clean = [dict(zip(kinds, np.array(of, dtype=float), strict=True)) for of in stored["clean"]]
         return Calibrated(edges, clean, dirty, both, tail=float(stored["tail"]))
     except FileNotFoundError as error:
         raise ValueError(f"no calibrated likelihood at {path}; write it with calibrate_likelihood.py") from error

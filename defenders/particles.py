@@ -17,7 +17,6 @@ import numpy as np
 from jaxtyping import Float
 
 from defenders.posterior import (
-    LYING,
     Comparison,
     Density,
     Posterior,
@@ -41,7 +40,7 @@ class Chapter:
 
     evidence: list[Comparison] = field(default_factory=list)
     total: float = 1.0
-    lying: float = LYING
+    lying: float = 0.0
     renew: bool = True
     pause: bool = False
 
@@ -65,7 +64,7 @@ class Particles(Posterior):
         self._begin(drawn(n, size, rng), turn)
         self._weigh(np.full(size, 1 / size))
 
-    def predict(self, lying: float = LYING) -> None:
+    def predict(self, lying: float) -> None:
         self.chapter, self.before = Chapter(lying=lying), self.density
         super().predict(lying)
 

@@ -2,10 +2,11 @@
 
 A hypothesis is a set L of liars. The number of liars is uniform on 0 … n - 1 and the set is uniform given its number.
 In each frame the liars are at work, all of them (a = 1), with probability q, or pause; and so it was in the frame the
-reference comes from (b). If nobody lies, a = 1 is a glitch, in which anything may be seen: rare, and without
-a share given back to a = 0, so that a frame in which nothing shows says nothing about L: who pauses is not acquitted.
-In a frame with lies, L is drawn anew with probability φ: somebody may start to lie, and no verdict is for ever. Liars
-who have just started were honest in the reference.
+reference comes from (b). Lies are likelier after lies: q is between STARTS and STAYS, by the probability that the frame
+before held some. If nobody lies, a = 1 is a glitch, in which anything may be seen: rare, and without a share given back
+to a = 0, so that a frame in which nothing shows says nothing about L: who pauses is not acquitted. In a frame with
+lies, L is drawn anew with probability φ: somebody may start to lie, and no verdict is for ever. Liars who have just
+started were honest in the reference.
 
     p(L, b, a = 0) ∝ (1 - q) p(L, b)
     p(L, b, a = 1) ∝ q ((1 - φ) p(L, b) + φ p₀(L) [b = 0]) (GLITCH if L = ∅ else 1)
@@ -23,8 +24,8 @@ from jaxtyping import Bool, Float
 
 from defenders.likelihood import Table
 
-GLITCH = 0.003
-LYING = 0.7  # q
+GLITCH = 0.05
+STARTS, STAYS = 0.02, 0.7  # q after a pause, and after a frame with lies
 
 Sets = Bool[np.ndarray, "S n"]
 Density = Float[np.ndarray, "S 2"]
@@ -66,7 +67,7 @@ class Posterior:
         """Probability of (L, b, a), summing to one."""
         return self.joint * self.scale[:, None, None]
 
-    def predict(self, lying: float = LYING) -> None:
+    def predict(self, lying: float) -> None:
         """A new frame begins, in which the liars are at work with probability `lying`."""
         self.joint = predicted(self.density, self.sets, self.prior, self.turn, lying)
         self._normalise()
@@ -79,6 +80,10 @@ class Posterior:
     def advance(self, renew: bool) -> None:
         """The frame ends. `renew`: its views are the references from now on, else those there were stay."""
         self.joint = settled(ended(self.joint, renew))
+
+    def lies(self) -> float:
+        """Probability that somebody is lying in this frame."""
+        return float(self.mass[self.sets.any(1), :, 1].sum())
 
     def guilt(self) -> Float[np.ndarray, " n"]:
         """Probability that each vehicle is a liar."""
@@ -117,12 +122,13 @@ def predicted(density: Density, sets: Sets, birth: Float[np.ndarray, " S"], turn
 def likelihood(sets: Sets, comparison: Comparison) -> Joint:
     """Probability of a similarity under every (L, b, a)."""
     size, reference = int(comparison.group.sum()), int(comparison.reference.sum())
+    shared = int((comparison.group & comparison.reference).sum())
     honest, nobody = np.zeros(len(sets), dtype=np.int64), ~sets.any(1)
     now = np.where(nobody, -1, sets[:, comparison.group].sum(1))
     then = np.where(nobody, -1, sets[:, comparison.reference].sum(1))
     values = comparison.table.density[:, comparison.bin]
     rows = [
-        [comparison.table.rows(size, (honest, now)[a], reference, (honest, then)[b]) for a in range(2)]
+        [comparison.table.rows(size, (honest, now)[a], reference, (honest, then)[b], shared) for a in range(2)]
         for b in range(2)
     ]
     return np.moveaxis(values[np.array(rows)], 2, 0)

@@ -34,7 +34,7 @@ from cp_env.bank import SceneBank
 from cp_env.detector import load_detector
 from cp_env.scenes import open_source
 from cp_env.world import World
-from defenders.likelihood import read_likelihood
+from defenders.likelihood import overlaps, read_likelihood
 from defenders.protocol import Defender, Frame, Inspection, Query, Verdict
 
 EDGES = (0, 0.025, 0.075, 0.15, 0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85, 1)
@@ -127,7 +127,7 @@ def play(args: Args, bank: SceneBank, scene: str, k: int, number: int) -> Tape:
 class Values:
     """Similarities by kind of comparison."""
 
-    clean: dict[tuple[int, int, int], list[np.ndarray]]  # (age, size, size of the reference)
+    clean: dict[tuple[int, int, int, int], list[np.ndarray]]  # (age, size, size of the reference, both)
     dirty: dict[tuple[int, int], list[np.ndarray]]  # (size, liars), the reference honest and a frame old
     both: list[np.ndarray]
 
@@ -145,7 +145,7 @@ def sorted_out(tapes: Iterator[Tape], n: int) -> Values:
                 dirty[len(one), now].append(known[:, 0, i, j])
             elif not then:
                 for age in range(1 if tape.liars else known.shape[1]):
-                    clean[age + 1, len(one), len(other)].append(known[:, age, i, j])
+                    clean[age + 1, len(one), len(other), len(one & other)].append(known[:, age, i, j])
     return Values(dict(clean), dict(dirty), both)
 
 
@@ -166,7 +166,9 @@ def densities(values: Values, args: Args) -> dict[str, object]:
     return {
         "edges": list(EDGES),
         "tail": args.tail,
-        "clean": [[[row(values.clean[age, s, r]) for r in sizes] for s in sizes] for age in range(1, args.ages + 1)],
+        "clean": [
+            [row(values.clean[age, *kind]) for kind in overlaps(args.n_vehicles)] for age in range(1, args.ages + 1)
+        ],
         "dirty": {str(s): {str(d): row(values.dirty[s, d]) for d in sizes if (s, d) in values.dirty} for s in sizes},
         "both": row(values.both),
     }
@@ -181,10 +183,10 @@ def report(values: Values, args: Args) -> Table:
     )
     for size in range(1, args.n_vehicles + 1):
         found = [
-            values.clean[1, size, args.n_vehicles],
+            values.clean[1, size, args.n_vehicles, size],
             *(values.dirty.get((size, d)) for d in range(1, args.n_vehicles)),
         ]
-        older = [values.clean[age, size, args.n_vehicles] for age in range(2, args.ages + 1)]
+        older = [values.clean[age, size, args.n_vehicles, size] for age in range(2, args.ages + 1)]
         cells = [
             "–" if x is None else f"{np.mean(np.concatenate(x)):.2f} ({np.std(np.concatenate(x)):.2f})"
             for x in found + older

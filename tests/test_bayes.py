@@ -38,7 +38,7 @@ class CalibratedWorld(PerfectWorld):
             self.__dict__["known"][min(a, b)],
             self.__dict__["known"][max(a, b)],
         )
-        density = self.densities.clean(len(later), len(earlier), max(now - then, 1))
+        density = self.densities.clean(len(later), len(earlier), len(later & earlier), max(now - then, 1))
         if liars and its:
             density = self.densities.both()
         elif liars or its:
@@ -142,7 +142,9 @@ def test_framing_does_not_convict_the_innocent(alone: bool) -> None:
     def likeness(group: frozenset[int], lying: frozenset[int], rng: np.random.Generator) -> float:
         return float(not (lying and (1 in group) == alone))
 
-    rulings = watch(Bayes(), PerfectWorld(5, frozenset({0}), likeness=likeness, schedule=every(1, start=1)), 60)
+    rulings = watch(
+        Bayes(likelihood="perfect"), PerfectWorld(5, frozenset({0}), likeness=likeness, schedule=every(1, start=1)), 60
+    )
     assert not any(1 in ruling.verdict.suspects for ruling in rulings)
 
 

@@ -14,9 +14,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from defenders.design import Outlook, Reference, exhaustive, gain_of_one, local, outcomes, outlook, safest
-from defenders.likelihood import CALIBRATED, Calibrated, Likelihood, Table, Verifier, open_likelihood, read_likelihood
+from defenders.likelihood import (
+    CALIBRATED,
+    Calibrated,
+    Likelihood,
+    Table,
+    Verifier,
+    open_likelihood,
+    overlaps,
+    read_likelihood,
+)
 from defenders.particles import Particles, drawn
-from defenders.posterior import GLITCH, LYING, Comparison, Posterior
+from defenders.posterior import GLITCH, STARTS, STAYS, Comparison, Posterior
 
 TURN = 0.01
 Hypothesis = tuple[frozenset[int], int]  # (L, b)
@@ -30,7 +39,8 @@ def made_up(seed: int, *, most: int = 3, bins: int = 4) -> Calibrated:
         return rng.dirichlet(np.ones(bins), shape)
 
     dirty = {(s, d): rows(1)[0] for s in range(1, most + 1) for d in range(1, s + 1) if d == 1 or s < most}
-    return Calibrated(np.linspace(0, 1, bins + 1), rows(2, most, most), dirty, rows(1)[0], tail=0.05)
+    clean = [dict(zip(overlaps(most), rows(len(overlaps(most))), strict=True)) for _ in range(2)]
+    return Calibrated(np.linspace(0, 1, bins + 1), clean, dirty, rows(1)[0], tail=0.05)
 
 
 def members(n: int, group: frozenset[int]) -> np.ndarray:
@@ -68,7 +78,7 @@ def probability(likelihood: Likelihood, c: Comparison, age: int, liars: frozense
         return float(likelihood.dirty(len(group), now)[c.bin])
     if then:
         return float(likelihood.dirty(len(reference), then)[c.bin])
-    return float(likelihood.clean(len(group), len(reference), age)[c.bin])
+    return float(likelihood.clean(len(group), len(reference), len(group & reference), age)[c.bin])
 
 
 def twin(
@@ -81,10 +91,10 @@ def twin(
     for comparisons, ages, renew in frames:
         after = dict.fromkeys(belief, 0.0)
         for (liars, b), a in product(belief, (0, 1)):
-            weight = (1 - LYING) * belief[liars, b]
+            weight = (1 - STAYS) * belief[liars, b]
             if a:
                 born = TURN * prior[liars] * (b == 0)
-                weight = LYING * ((1 - TURN) * belief[liars, b] + born) * (1 if liars else GLITCH)
+                weight = STAYS * ((1 - TURN) * belief[liars, b] + born) * (1 if liars else GLITCH)
             for c, age in zip(comparisons, ages, strict=True):
                 weight *= probability(likelihood, c, age, liars, b, a)
             after[liars, a if renew else b] += weight
@@ -103,7 +113,7 @@ def test_equals_the_sum_over_every_case(n: int, seed: int) -> None:
         by_age = likelihood.tables(n)
         comparisons = [Comparison(c.group, c.reference, by_age[t % 2], c.bin) for c in comparisons]
         frames.append((comparisons, [t % 2 + 1] * len(comparisons), t % 3 != 0))
-        posterior.predict()
+        posterior.predict(STAYS)
         for comparison in comparisons:
             posterior.update(comparison)
         posterior.advance(t % 3 != 0)
@@ -121,7 +131,7 @@ def test_sums_to_one_and_the_order_of_evidence_is_nothing(n: int, seed: int) -> 
     one, other = Posterior(n, turn=TURN), Posterior(n, turn=TURN)
     assert one.mass.sum() == pytest.approx(1)
     for posterior, order in ((one, evidence), (other, evidence[::-1])):
-        posterior.predict()
+        posterior.predict(STAYS)
         for comparison in order:
             posterior.update(comparison)
             assert posterior.mass.sum() == pytest.approx(1)
@@ -136,7 +146,7 @@ def test_renumbering_the_vehicles_renumbers_the_guilt(n: int, seed: int) -> None
     likelihood, order = made_up(seed), np.random.default_rng(seed).permutation(n)
     one, other = Posterior(n, turn=TURN), Posterior(n, turn=TURN)
     for posterior, p in ((one, np.arange(n)), (other, order)):
-        posterior.predict()
+        posterior.predict(STAYS)
         for c in drawn_evidence(n, likelihood, seed):
             posterior.update(Comparison(c.group[p], c.reference[p], c.table, c.bin))
         posterior.advance(True)
@@ -148,17 +158,17 @@ def test_a_frame_in_which_nothing_shows_acquits_nobody() -> None:
     table = Verifier(1e-9, 1e-9).tables(5)[0]
     posterior, everyone, pair = Posterior(5, turn=TURN), np.ones(5, dtype=bool), np.arange(5) < 2
     fails, passes = Comparison(pair, everyone, table, 0), Comparison(everyone, everyone, table, 1)
-    posterior.predict()
+    posterior.predict(STARTS)
     posterior.update(passes)
     posterior.advance(True)
     assert posterior.guilt() == pytest.approx([0.4] * 5, abs=2e-3)
-    posterior.predict()
+    posterior.predict(STARTS)
     posterior.update(fails)
     posterior.advance(False)
     suspected = posterior.guilt()
     assert suspected[0] > 0.6
     for _ in range(200):
-        posterior.predict()
+        posterior.predict(STARTS)
         posterior.update(passes)
         posterior.advance(True)
     assert posterior.guilt() == pytest.approx(suspected, abs=2e-3)
@@ -182,7 +192,7 @@ def test_particles_are_near_the_exact_posterior(seed: int) -> None:
     for posterior in (exact, sample):
         drawing = np.random.default_rng(seed)
         for t in range(6):
-            posterior.predict()
+            posterior.predict(STAYS)
             posterior.update(Comparison(everyone, everyone, table, int(t % 3 == 0)))
             for _ in range(2):
                 group = drawing.random(n) < 0.3
@@ -199,7 +209,7 @@ def test_particles_replay_what_they_are(monkeypatch: pytest.MonkeyPatch) -> None
     table, everyone = Verifier().tables(9)[0], np.ones(9, dtype=bool)
     sample = Particles(9, turn=TURN, size=100, rng=np.random.default_rng(0))
     for t in range(15):  # beyond what is remembered: a summary takes its place
-        sample.predict()
+        sample.predict(STAYS)
         sample.update(Comparison(everyone, everyone, table, int(t in (0, 8, 9))))
         sample.update(Comparison(np.arange(9) == t % 9, everyone, table, int(t % 9 != 4 or t in (0, 8, 9))))
         sample.advance(t % 2 == 0)
@@ -217,7 +227,7 @@ def test_particles_are_drawn_from_the_prior(n: int, seed: int) -> None:
 
 def doubted(n: int, likelihood: Likelihood, seed: int) -> Posterior:
     posterior = Posterior(n, turn=TURN)
-    posterior.predict()
+    posterior.predict(STAYS)
     for comparison in drawn_evidence(n, likelihood, seed, 2):
         posterior.update(comparison)
     return posterior
@@ -231,7 +241,13 @@ def slow_gain(groups: list[np.ndarray], reference: Reference, of: Outlook, bins:
         for group in groups:
             liars = -1 if of.glitch[0, h] else int(now[group].sum())
             its = -1 if of.glitch[1, h] else int(of.then[h][reference.group].sum())
-            row = reference.table.rows(int(group.sum()), np.array(liars), int(reference.group.sum()), np.array(its))
+            row = reference.table.rows(
+                int(group.sum()),
+                np.array(liars),
+                int(reference.group.sum()),
+                np.array(its),
+                int(group[reference.group].sum()),
+            )
             rows.append(reference.table.density[int(row)])
         given_each.append(
             {y: math.prod(r[b] for r, b in zip(rows, y, strict=True)) for y in product(range(bins), repeat=len(rows))}
@@ -270,7 +286,7 @@ def test_a_sample_of_hypotheses_stands_for_all() -> None:
     of = outlook(posterior, np.random.default_rng(0), 500)
     assert len(of.weight) <= 500 and of.weight.sum() == pytest.approx(1)
     lying = posterior.mass.sum(1)[:, 1] @ posterior.sets
-    assert of.weight @ of.now == pytest.approx(lying, abs=0.03)
+    assert of.weight @ of.now == pytest.approx(lying, abs=0.06)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -306,7 +322,7 @@ def test_every_density_is_one_and_bounded(likelihood: str | Likelihood, n: int) 
     if isinstance(likelihood, Calibrated):
         density = np.concatenate([table.density for table in likelihood.tables(n)])
         ratio = density.max(0) / density.min(0)
-        assert (ratio <= density.max(0) / (likelihood.tail * likelihood.glitch()) + 1e-9).all()
+        assert (ratio <= density.max(0) / (likelihood.tail * likelihood.glitch()) * 1.001).all()
 
 
 def test_more_liars_or_older_references_never_look_better_on_average() -> None:
@@ -314,7 +330,9 @@ def test_more_liars_or_older_references_never_look_better_on_average() -> None:
     likelihood = read_likelihood(CALIBRATED)
     middle = (likelihood.edges[1:] + likelihood.edges[:-1]) / 2
     for size in (1, 2, 3, 5, 8, 12, 20):
-        clean = [float(likelihood.clean(size, 5, age) @ middle) for age in range(1, likelihood.oldest + 1)]
+        clean = [
+            float(likelihood.clean(size, max(size, 5), size, age) @ middle) for age in range(1, likelihood.oldest + 1)
+        ]
         assert clean == sorted(clean, reverse=True)
         assert likelihood.dirty(size, 1) @ middle < clean[0]
         assert likelihood.dirty(size, size) @ middle <= likelihood.dirty(size, 1) @ middle + 0.05
@@ -326,9 +344,9 @@ def test_rows_of_a_table_by_hand() -> None:
     table = Table(likelihood, 4, 2)
 
     def density(size: int, liars: int, reference: int, its: int) -> np.ndarray:
-        return table.density[int(table.rows(size, np.array(liars), reference, np.array(its)))]
+        return table.density[int(table.rows(size, np.array(liars), reference, np.array(its), 1))]
 
-    assert (density(2, 0, 3, 0) == likelihood.clean(2, 3, 2)).all()
+    assert (density(2, 0, 3, 0) == likelihood.clean(2, 3, 1, 2)).all()
     assert (density(3, 2, 1, 0) == likelihood.dirty(3, 2)).all()
     assert (density(3, 0, 2, 1) == likelihood.dirty(2, 1)).all()
     assert (density(3, 2, 2, 1) == likelihood.both()).all()

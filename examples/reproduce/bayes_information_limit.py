@@ -1,0 +1,125 @@
+"""How many frames does `bayes` need to be 99 % sure, beside the fewest that any defender could need?
+
+    python examples/reproduce/bayes_information_limit.py             # n = 5, 10, 15 and 20: a table and a picture
+    python examples/reproduce/bayes_information_limit.py --n 5 --episodes 200
+
+The verifier is perfect and tells yes or no; k of n vehicles lie from the first frame after an honest one, k being known
+to nobody. There are 2^n sets of liars and a frame pays for two answers, so n / 2 frames are the limit for one who has
+no idea how many lie. For one who takes every number of liars for equally likely, as `bayes` does, a set of k holds
+log2(n C(n, k)) bits: less where k is near 0 or n, so that frames may fall below n / 2 there.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from dataclasses import dataclass
+from math import comb, log2
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+import tyro
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+from cp_env.intervals import Interval, t_interval
+from defenders import Bayes
+from defenders.perfect import Episode, play
+
+
+@dataclass
+class Args:
+    n: tuple[int, ...] = (5, 10, 15, 20)
+    """vehicles"""
+    episodes: int = 10
+    """episodes for each number of liars"""
+    liars: int = 5
+    """numbers of liars, spread over 1 … n - 1"""
+    seed: int = 0
+    out: Path = Path("out/bayes")
+
+
+@dataclass(frozen=True)
+class Row:
+    n: int
+    k: int
+    frames: Interval
+    exact: float  # share of episodes that ended with exactly the liars accused
+    most: int  # verifications in a frame
+    milliseconds: float  # of CPU time, a frame
+
+
+def measure(args: Args, n: int, k: int) -> Row:
+    start = time.process_time()
+    played = [play(Bayes(likelihood="perfect"), n, k, args.seed + i, max_frames=100) for i in range(args.episodes)]
+    spent = time.process_time() - start
+    frames = [len(episode.rulings) for episode in played]
+    return Row(
+        n,
+        k,
+        t_interval(frames),
+        float(np.mean([right(episode) for episode in played])),
+        max(max(episode.verifications) for episode in played),
+        1000 * spent / sum(frames),
+    )
+
+
+def right(episode: Episode) -> bool:
+    return episode.converged and episode.suspects == episode.liars
+
+
+def counts(n: int, most: int) -> list[int]:
+    """Numbers of liars, spread over all that can be."""
+    return sorted(set(np.linspace(1, n - 1, min(most, n - 1)).round().astype(int).tolist()))
+
+
+def draw(rows: list[Row], args: Args) -> Path:
+    figure, axes = plt.subplots(1, len(args.n), figsize=(3.6 * len(args.n), 3.6), layout="constrained", squeeze=False)
+    for n, axis in zip(args.n, axes[0], strict=True):
+        mine = [row for row in rows if row.n == n]
+        k = [row.k for row in mine]
+        means = np.array([row.frames.mean for row in mine])
+        spread = np.array([[row.frames.mean - row.frames.low, row.frames.high - row.frames.mean] for row in mine]).T
+        every = np.arange(1, n)
+        axis.errorbar(k, means, yerr=spread, fmt="o-", capsize=3, label="bayes, to 99 %")
+        axis.axhline(n / 2, color="grey", ls="--", label="limit, n / 2")
+        axis.axhline(1.3 * n / 2, color="grey", ls=":", label="1.3 times the limit")
+        axis.plot(
+            every, [log2(n * comb(n, int(i))) / 2 for i in every], color="crimson", lw=1, label="log2(n C(n, k)) / 2"
+        )
+        axis.set(title=f"{n} vehicles", xlabel="liars", ylim=(0, None))
+    axes[0, 0].set_ylabel("frames of attack")
+    axes[0, 0].legend(fontsize=7, loc="lower right")
+    path = args.out / "information_limit.png"
+    figure.savefig(path, dpi=110)
+    return path
+
+
+def main(args: Args) -> None:
+    args.out.mkdir(parents=True, exist_ok=True)
+    jobs = [(n, k) for n in args.n for k in counts(n, args.liars)]
+    rows = [measure(args, n, k) for n, k in track(jobs, "playing")]
+    title = f"frames to 99 % certainty, perfect verifier, {args.episodes} episodes a row, 95 % intervals"
+    table = Table("n", "k", "frames", "times n / 2", "exactly right %", "most looks", "ms a frame", title=title)
+    for row in rows:
+        spread = (row.frames.high - row.frames.low) / 2
+        cells = (
+            f"{row.frames.mean:.1f} ± {spread:.1f}",
+            f"{row.frames.mean / (row.n / 2):.2f}",
+            f"{100 * row.exact:.0f}",
+        )
+        table.add_row(str(row.n), str(row.k), *cells, str(row.most), f"{row.milliseconds:.0f}")
+    for n in args.n:
+        mean = float(np.mean([row.frames.mean for row in rows if row.n == n]))
+        table.add_row(str(n), "all", f"{mean:.1f}", f"{mean / (n / 2):.2f}", "", "", "")
+    console = Console(width=120)
+    console.print(table)
+    stored = [{"n": r.n, "k": r.k, "frames": r.frames.mean, "low": r.frames.low, "high": r.frames.high} for r in rows]
+    (args.out / "information_limit.json").write_text(json.dumps(stored, indent=1) + "\n")
+    console.print("drawn:", draw(rows, args))
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Args, description=__doc__))
