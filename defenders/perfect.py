@@ -112,7 +112,10 @@ class PerfectWorld:
         return PerfectFrame(self.frame - 1, self.n_vehicles, seen, self.similarity, self.agreement)
 
     def judge(self, defender: Defender, lying: bool = True) -> Ruling:
-        """Show the defender the next frame, answer what it asks, and count. QueryError if it asks for nonsense."""
+        """Show the defender the next frame, answer what it asks, and count.
+
+        Raises QueryError if it asks for nonsense, or its verdict is none.
+        """
         groups: list[Group] = []
         queries = verifications = 0
         inspection = defender.inspect(self.show(lying))
@@ -125,16 +128,28 @@ class PerfectWorld:
                 verifications += len(query.groups) if query.verification else 0
                 query = inspection.send([self.look(group) for group in query.groups])
         except StopIteration as stop:
-            return Ruling(stop.value, tuple(groups), verifications, self.lying)
+            return Ruling(self._checked(stop.value), tuple(groups), verifications, self.lying)
         finally:
             inspection.close()
 
-    def _check(self, query: Query, queries: int, most: int) -> None:
+    def _check(self, query: object, queries: int, most: int) -> None:
+        if not isinstance(query, Query):
+            raise QueryError(f"inspect() must yield a Query, got {type(query).__name__}")
         if queries > most:
             raise QueryError(f"more than max_queries = {most} queries in one frame")
         for group in query.groups:
             if not group or not group <= self.everyone:
                 raise QueryError(f"a group must hold one or more of {self.n_vehicles} vehicles, got {sorted(group)}")
+
+    def _checked(self, verdict: object) -> Verdict:
+        if not isinstance(verdict, Verdict):
+            raise QueryError(f"inspect() must return a Verdict, got {type(verdict).__name__}")
+        if not verdict.collaborators or not (verdict.collaborators | verdict.suspects) <= self.everyone:
+            raise QueryError(
+                f"a verdict must fuse one or more of {self.n_vehicles} vehicles and accuse none but them, got "
+                f"{sorted(verdict.collaborators)} and {sorted(verdict.suspects)}"
+            )
+        return verdict
 
 
 @dataclass(frozen=True, slots=True)

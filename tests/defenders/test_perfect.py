@@ -123,8 +123,8 @@ def test_a_trusted_ego_never_lies_and_nobody_else_is_spared() -> None:
     assert members(drawn.liars, 4).mean(axis=0) == pytest.approx(0.25, abs=0.08)
 
 
-@settings(max_examples=20)
-@given(st.sampled_from(defenders.names()), st.integers(3, 8), st.integers(0, 2**32))
+@settings(max_examples=10)
+@given(st.sampled_from(("prbi", "robosac", "pasac", "oracle")), st.integers(3, 8), st.integers(0, 2**32))
 def test_any_episode_of_a_batch_can_be_played_alone(name: str, n: int, seed: int) -> None:
     terms = Terms(n_vehicles=n, n_liars=n // 2, likeness=ErrorRates(0.2, 0.2), max_frames=6, honest={0})
     tally = play_many(defenders.make(name), terms, episodes=3, seed=seed)
@@ -149,7 +149,7 @@ class Scripted(NoDefence):
     def inspect(self, frame: Frame) -> Inspection:
         yield Query([{0}] * frame.index)
         accused = frozenset(self.accusations[frame.index])
-        return Verdict(frozenset(range(70)) - accused if self.n_vehicles == 70 else {0, 3} - accused, accused)
+        return Verdict({0, 3}, accused)
 
 
 def test_numbers_worked_by_hand() -> None:
@@ -178,18 +178,29 @@ def test_play_is_terms_in_short() -> None:
 
 
 class Nonsense(NoDefence):
-    def __init__(self, queries: list[Query]) -> None:
-        self.queries = queries
+    def __init__(self, queries: list[object], verdict: object) -> None:
+        self.queries, self.verdict = queries, verdict
 
     def inspect(self, frame: Frame) -> Inspection:
-        yield from (query for query in self.queries)  # a list cannot be sent answers
-        return Verdict({0})
+        yield from (query for query in self.queries)  # type: ignore[misc]  # a list cannot be sent answers
+        return self.verdict  # type: ignore[return-value]
 
 
-@pytest.mark.parametrize("queries", [[Query([()])], [Query([{5}])], [Query([{0}])] * 65])
-def test_nonsense_is_refused(queries: list[Query]) -> None:
-    with pytest.raises(QueryError):
-        PerfectWorld(5, LIARS).judge(Nonsense(queries))
+@pytest.mark.parametrize(
+    ("queries", "verdict", "complaint"),
+    [
+        ([Query([()])], Verdict({0}), "group"),
+        ([Query([{5}])], Verdict({0}), "group"),
+        ([Query([{0}])] * 65, Verdict({0}), "max_queries"),
+        ([[{0}]], Verdict({0}), "must yield a Query"),
+        ([], None, "must return a Verdict"),
+        ([], Verdict(()), "must fuse"),
+        ([], Verdict({0}, {5}), "must fuse"),
+    ],
+)
+def test_nonsense_is_refused(queries: list[object], verdict: object, complaint: str) -> None:
+    with pytest.raises(QueryError, match=complaint):
+        PerfectWorld(5, LIARS).judge(Nonsense(queries, verdict))
 
 
 @pytest.mark.parametrize(
