@@ -48,10 +48,8 @@ class Row:
 
 
 def limit(rounding: str, n: int, k: int) -> float:
-    """Theorem 2."""
-    if rounding == "ceiling" and k == 1:
-        return math.log2(n / (n - 1))
-    return k - {"floor": 0.0, "nearest": 0.5, "ceiling": 1.0}[rounding]
+    """Theorem 2, from four vehicles on. η cannot exceed (n - k) / n, which makes its exception at k = 1."""
+    return max(k - {"floor": 0.0, "nearest": 0.5, "ceiling": 1.0}[rounding], math.log2(n / (n - k)))
 
 
 def watch(args: Args, rounding: str, k: int, seed: int) -> list[float]:
