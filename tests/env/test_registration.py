@@ -71,7 +71,8 @@ def test_defaults_are_those_of_the_settings() -> None:
     written = {name: parameter.default for name, parameter in parameters.items()}
     for name, value in vars(Settings()).items():
         assert written.pop(name) == value, name
-    assert written == {"defender": "prbi", "scenes": "town", "device": "cpu", "render_mode": None}
+    eyes = {"detector": "cp_env", "checkpoint": None, "device": "cpu"}
+    assert written == {"defender": "prbi", "scenes": "town", "render_mode": None, **eyes}
 
 
 def test_every_knob_is_explained() -> None:
