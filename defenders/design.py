@@ -177,6 +177,7 @@ def safest(
     """
     mass = posterior.mass.sum(1)  # [S, a]
     n, nobody = len(barred), ~posterior.sets.any(1)
+    groups: Groups
     if n <= MOST_EXACT:
         groups = np.concatenate([every_group(n), np.ones((1, n), dtype=bool)])
     else:
