@@ -137,14 +137,16 @@ def test_a_vehicle_that_turns_after_a_long_peace_is_found_as_fast_as_ever() -> N
 
 @pytest.mark.parametrize("alone", [True, False])
 def test_framing_does_not_convict_the_innocent(alone: bool) -> None:
-    """The lie of vehicle 0 shows only where vehicle 1 is fused too (or only where it is not): 1 is never accused."""
+    """The lie of vehicle 0 shows only where vehicle 1 is fused too (or only where it is not): 1 is never accused.
+
+    By one who knows that a verifier errs: whoever takes it for perfect is led astray.
+    """
 
     def likeness(group: frozenset[int], lying: frozenset[int], rng: np.random.Generator) -> float:
         return float(not (lying and (1 in group) == alone))
 
-    rulings = watch(
-        Bayes(likelihood="perfect"), PerfectWorld(5, frozenset({0}), likeness=likeness, schedule=every(1, start=1)), 60
-    )
+    world = PerfectWorld(5, frozenset({0}), likeness=likeness, schedule=every(1, start=1))
+    rulings = watch(Bayes(likelihood=Verifier(0.05, 0.05)), world, 60)
     assert not any(1 in ruling.verdict.suspects for ruling in rulings)
 
 
