@@ -2,7 +2,7 @@
 
 >>> defender = make("prbi", epsilon=0.4)
 >>> names()
-('prbi', 'none', 'ego_only', 'oracle', 'pasac', 'robosac')
+('prbi', 'none', 'ego_only', 'oracle', 'pasac', 'robosac', 'bayes')
 """
 
 from __future__ import annotations
@@ -41,12 +41,12 @@ __all__ = [
 
 REGISTRY: dict[str, Callable[..., Defender]] = {
     "prbi": Prbi,
-    "bayes": Bayes,
     "none": NoDefence,
     "ego_only": EgoOnly,
     "oracle": Oracle,
     "pasac": Pasac,
     "robosac": Robosac,
+    "bayes": Bayes,
 }
 
 
