@@ -176,7 +176,8 @@ def safest(
     tried, else the heads of the list of vehicles, least suspicious first.
     """
     mass = posterior.mass.sum(1)  # [S, a]
-    n, nobody = len(barred), ~posterior.sets.any(1)
+    n = len(barred)
+    nobody = posterior.sets.sum(1) == 0
     groups: Groups
     if n <= MOST_EXACT:
         groups = np.concatenate([every_group(n), np.ones((1, n), dtype=bool)])

@@ -50,7 +50,12 @@ def draw_axes(ax: Axes, pose: Float[np.ndarray, "3"], length: float, name: str) 
     """The x axis in red, the y axis in green, of a frame standing at `pose`."""
     for turn, colour, axis in ((0.0, "red", "x"), (np.pi / 2, "green", "y")):
         x, y = length * np.cos(pose[2] + turn), length * np.sin(pose[2] + turn)
-        ax.annotate("", (pose[0] + x, pose[1] + y), pose[:2], arrowprops={"arrowstyle": "->", "color": colour, "lw": 2})
+        ax.annotate(
+            "",
+            (pose[0] + x, pose[1] + y),
+            (pose[0], pose[1]),
+            arrowprops={"arrowstyle": "->", "color": colour, "lw": 2},
+        )
         write(ax, pose[0] + 1.3 * x, pose[1] + 1.3 * y, axis, colour)
     write(ax, pose[0] - 0.7 * length * np.cos(pose[2]), pose[1] - 0.7 * length * np.sin(pose[2]), name, "black")
 
@@ -73,7 +78,7 @@ def draw_world(ax: Axes, scene: Scene, frame: int, sweeps: list[Sweep]) -> None:
     for number, sweep in enumerate(sweeps[: scene.n_connected]):
         high = sweep.points[:, 2] > 0.3
         place = sweep.points[high, :2] + sweep.origin[:2]
-        ax.scatter(*place.T, s=0.4, color=COLOURS[number % len(COLOURS)], linewidths=0)
+        ax.scatter(place[:, 0], place[:, 1], s=0.4, color=COLOURS[number % len(COLOURS)], linewidths=0)
     draw_boxes(ax, boxes_of(scene, frame), "black")
     drawn = np.zeros((0, 2))
     for number, pose in enumerate(scene.pose[frame, scene.connected], start=1):
@@ -90,7 +95,7 @@ def draw_sensor(ax: Axes, scene: Scene, frame: int, sweep: Sweep) -> None:
     world_T_sensor = np.append(sweep.origin[:2], scene.pose[frame, scene.connected[0], 2])
     cos, sin = np.cos(world_T_sensor[2]), np.sin(world_T_sensor[2])
     own = sweep.points[:, :2] @ np.array([[cos, -sin], [sin, cos]])
-    shown = ax.scatter(*own.T, s=0.6, c=sweep.points[:, 2], cmap="viridis", vmin=0, vmax=4, linewidths=0)
+    shown = ax.scatter(own[:, 0], own[:, 1], s=0.6, c=sweep.points[:, 2], cmap="viridis", vmin=0, vmax=4, linewidths=0)
     ax.figure.colorbar(shown, ax=ax, label="height above ground, m", shrink=0.8)
     boxes = boxes_of(scene, frame)
     pose = compose(np.broadcast_to(invert(world_T_sensor), (len(boxes), 3)), boxes[:, [0, 1, 4]])
