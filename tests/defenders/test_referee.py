@@ -11,14 +11,17 @@ from cp_env.verification import Frame, judge
 from defenders.perfect import PerfectWorld
 
 LIARS = frozenset({1, 4})
+FRAMES = 8
 
 
 def view(group: frozenset[int], frame: int) -> View:
-    """One car at the same place in the world, or none where a liar hides it."""
-    boxes = np.array([[8.0, 3.0, 4.5, 1.9, 0.2]])[: int(frame == 0 or LIARS.isdisjoint(group))]
-    found = Detections(boxes, np.full(len(boxes), 0.9))
+    """One car at the same place in the world; a liar hides it and puts a ghost where no other lie has one."""
+    honest = frame == 0 or LIARS.isdisjoint(group)
+    number = sum(1 << i for i in group) * FRAMES + frame
+    x, y = (8.0, 3.0) if honest else (-30.0 + 3.5 * (number % 17), -30.0 + 1.5 * (number // 17))
+    found = Detections(np.array([[x, y, 4.5, 1.9, 0.2]]), np.array([0.9]))
     score_map = np.zeros((64, 64))
-    score_map[35, 40] = 0.9 * len(boxes)
+    score_map[int(y) + 32, int(x) + 32] = 0.9
     return View(group, frame, np.zeros(2), found, found, score_map)
 
 
@@ -31,7 +34,7 @@ def test_same_verdicts_and_same_count(name: str, seed: int) -> None:
             tell(LIARS)
         defender.reset(5, np.random.default_rng(seed))
     world = PerfectWorld(5, LIARS)
-    for t in range(8):
+    for t in range(FRAMES):
         expected = world.judge(pair[0], lying=t > 0)
         seen = view(frozenset(range(5)), t)
         (got,) = judge([Frame(t, 5, seen)], [pair[1]], lambda pairs, t=t: [view(group, t) for _, group in pairs])

@@ -45,7 +45,7 @@ def toy_env(bank: SceneBank) -> Callable[..., CollaborativePerceptionEnv]:
 def toy_town(bank: SceneBank, monkeypatch: pytest.MonkeyPatch) -> None:
     """Whoever opens a named source opens the toy crossings."""
     monkeypatch.setattr("cp_env.world.open_source", lambda _: bank.source)
-    monkeypatch.setattr("cp_env.world.load_detector", lambda *_: bank.detector)
+    monkeypatch.setattr("cp_env.world.open_detector", lambda *_, **__: bank.detector)
     monkeypatch.setattr("cp_env.world.SceneBank", lambda *_: bank)
 
 
