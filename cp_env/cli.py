@@ -13,11 +13,12 @@ def version() -> None:
     print(__version__)
 
 
-def scenes(source: str = "town/test") -> None:
+def scenes(source: str = "town/test", skip_broken: bool = False) -> None:
     """List the scenes of a source, with what moves and stands in them.
 
     Args:
         source: a name such as "town/train", or kind:path?option=value&option=value (docs/scenes.md).
+        skip_broken: leave broken scenes out, and say which and why; of data sets on disk.
     """
     import numpy as np
     from rich.console import Console
@@ -25,7 +26,7 @@ def scenes(source: str = "town/test") -> None:
 
     from cp_env.scenes import open_source
 
-    opened = open_source(source)
+    opened = open_source(_named(source, skip_broken))
     table = Table(title=f"{opened.name}: {len(opened.names())} scenes", box=None, pad_edge=False)
     columns = ("scene", "kind", "frames", "radios", "vehicles", "parked", "walls", "RSU")
     for column in columns:
@@ -47,6 +48,7 @@ def scenes_export(
     names: tuple[str, ...] = (),
     frames: int | None = None,
     vehicles: int | None = None,
+    skip_broken: bool = False,
 ) -> None:
     """Write the scenes of a source in the layout of a public data set, for other tools to read.
 
@@ -57,13 +59,14 @@ def scenes_export(
         names: the scenes; all of them by default.
         frames: only the first so many of each scene.
         vehicles: only the first so many connected vehicles of each scene have a sensor.
+        skip_broken: leave broken scenes out, and say which and why; of data sets on disk.
     """
     from rich.console import Console
 
     from cp_env.scenes import open_source
     from cp_env.scenes.export import export
 
-    export(open_source(source), out, layout=layout, names=names, frames=frames, vehicles=vehicles)
+    export(open_source(_named(source, skip_broken)), out, layout=layout, names=names, frames=frames, vehicles=vehicles)
     Console().print(f"{out}: written in the layout of {layout}", soft_wrap=True)
 
 
@@ -75,6 +78,7 @@ def scenes_preview(
     frames: int | None = None,
     extent: float = 48.0,
     vehicles: int = 15,
+    skip_broken: bool = False,
 ) -> None:
     """Film a scene of any source from above, and print who is in it and who is seen.
 
@@ -86,6 +90,7 @@ def scenes_preview(
         frames: look at no more than the first so many.
         extent: m round the ego that the film shows.
         vehicles: how many vehicles, the nearest to the ego first, get a line of their own.
+        skip_broken: leave broken scenes out, and say which and why; of data sets on disk.
     """
     from rich.console import Console
 
@@ -94,7 +99,7 @@ def scenes_preview(
 
     if every < 1:
         raise ValueError(f"every must be at least 1, got {every}")
-    source = open_source(preview.spec_of(path))
+    source = open_source(_named(preview.spec_of(path), skip_broken))
     name = source.names()[0] if scene is None else scene
     loaded = source.load(name)
     chosen = list(range(0, min(loaded.n_frames, frames or loaded.n_frames), every))
@@ -103,6 +108,11 @@ def scenes_preview(
         Console().print(table)
     preview.write_gif(preview.film(source, name, chosen, extent=extent), out, seconds=every * loaded.dt)
     Console().print(f"{out}: {len(chosen)} frames of {name}", soft_wrap=True)
+
+
+def _named(source: str, skip_broken: bool) -> str:
+    """The source's name, with the option in it."""
+    return f"{source}{'&' if '?' in source else '?'}skip_broken" if skip_broken else source
 
 
 def play(

@@ -9,6 +9,8 @@ from PIL import Image
 
 import cp_env
 from cp_env.cli import main
+from cp_env.scenes.export import export
+from tests.toy import ToySource
 
 
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:
@@ -50,3 +52,13 @@ def test_bad_input_is_told_in_one_line() -> None:
         main(["scenes", "--source", "village"])
     with pytest.raises(SystemExit, match=r"cp-env: unknown action map 'raw'"):
         main(["play", "--action", "raw"])
+
+
+def test_broken_scenes_are_left_out_by_a_flag(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    export(ToySource(n_frames=2), tmp_path / "set", layout="opv2v", frames=2, vehicles=2)
+    folders = sorted(path for path in (tmp_path / "set").rglob("*") if path.is_dir() and list(path.glob("*.pcd")))
+    sorted(folders[0].glob("*.pcd"))[0].write_bytes(b"not a point cloud")
+    with pytest.raises(SystemExit, match=r"\.pcd"):
+        main(["scenes", "preview", f"opv2v:{tmp_path / 'set'}", "--out", str(tmp_path / "film.gif")])
+    main(["scenes", f"--source=opv2v:{tmp_path / 'set'}", "--skip-broken"])
+    assert "left out scene" in capsys.readouterr().out
