@@ -71,7 +71,8 @@ def _pairs(
     cell = ((points - low) / _CELL).astype(np.int64)
     width, height = cell.max(axis=0) + 1
     number = cell[:, 1] * width + cell[:, 0]
-    order = np.argsort(number, kind="stable")
+    small = np.min_scalar_type(width * height)  # numbers of 16 bits are sorted by their digits, ten times as fast
+    order = np.argsort(number.astype(small), kind="stable")
     begins = np.concatenate([[0], np.cumsum(np.bincount(number, minlength=width * height))])
     first = np.floor((place - radius[:, None] - low) / _CELL).astype(np.int64)
     last = np.floor((place + radius[:, None] - low) / _CELL).astype(np.int64)
