@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 from itertools import pairwise
 
@@ -17,6 +16,7 @@ from cp_env.detector.bev import BEV, rasterise
 from cp_env.detector.decoder import Decoder, Dense, peaks
 from cp_env.detector.encoder import Conv, Encoder
 from cp_env.detector.fusion import FUSIONS
+from cp_env.detector.shared import fingerprint, refuse_empty
 from cp_env.types import Detections, Sweep
 
 MOST_BOXES = 80
@@ -71,9 +71,7 @@ class Detector(nn.Module):
     ) -> Float[Tensor, "B C H W"]:
         """One fused map for each row (world, members); vehicle 0 is the ego. A group may lack it, may hold one vehicle,
         but not none: ValueError."""
-        if not bool(groups.any(dim=1).all()):
-            empty = (~groups.any(dim=1)).nonzero()[:, 0].tolist()
-            raise ValueError(f"a group holds at least one vehicle: rows {empty} of groups hold none; leave them out")
+        refuse_empty(groups)
         fused: Tensor = self.fuser(received, coverage, world, groups)
         return fused
 
@@ -123,11 +121,7 @@ class Detector(nn.Module):
     @property
     def digest(self) -> str:
         """A fingerprint of all weights and buffers and of the operating threshold: part of every cache key."""
-        sha = hashlib.sha256(f"{self.fusion} {self.floor} {self.threshold}".encode())
-        for name, tensor in sorted(self.state_dict().items()):
-            sha.update(name.encode())
-            sha.update(tensor.detach().cpu().contiguous().numpy().tobytes())
-        return sha.hexdigest()[:16]
+        return fingerprint(self, f"{self.fusion} {self.floor} {self.threshold}")
 
     @property
     def _weight(self) -> Tensor:

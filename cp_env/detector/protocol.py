@@ -17,7 +17,6 @@ A detector that decodes with parts of the ego's own sweep which are never sent i
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Protocol, runtime_checkable
@@ -30,6 +29,7 @@ from torch import Tensor, nn
 from cp_env.detector import warp
 from cp_env.detector.decoder import Dense
 from cp_env.detector.detector import Detector
+from cp_env.detector.shared import fingerprint
 from cp_env.types import Detections, Sweep
 
 
@@ -144,11 +144,7 @@ class BaseDetector(nn.Module):
     def digest(self) -> str:
         """A fingerprint of the class's name, the thresholds, and all weights and buffers."""
         name = f"{type(self).__module__}.{type(self).__qualname__}"
-        sha = hashlib.sha256(f"{name} {self.size} {self.extent} {self.floor} {self.threshold}".encode())
-        for key, tensor in sorted(self.state_dict().items()):
-            sha.update(key.encode())
-            sha.update(tensor.detach().cpu().contiguous().numpy().tobytes())
-        return sha.hexdigest()[:16]
+        return fingerprint(self, f"{name} {self.size} {self.extent} {self.floor} {self.threshold}")
 
 
 DETECTORS = ("cp_env", "coperception")

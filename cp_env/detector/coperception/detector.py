@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import hashlib
 from collections import OrderedDict
 from collections.abc import Sequence
 from pathlib import Path
@@ -21,6 +20,7 @@ from cp_env.detector.coperception.backbone import CHANNELS, Decoder, Encoder, Sk
 from cp_env.detector.coperception.checkpoint import FUSIONS, Weights, read
 from cp_env.detector.coperception.heads import Anchored, Heads
 from cp_env.detector.decoder import Dense
+from cp_env.detector.shared import fingerprint, refuse_empty
 from cp_env.types import Detections, Sweep
 
 CHUNK = 4
@@ -115,9 +115,7 @@ class CoperceptionDetector(nn.Module):
     ) -> Anchored:
         """What the ego's decoder makes of each row (world, members). Raises ValueError for an empty group."""
         del coverage
-        if not bool(groups.any(dim=1).all()):
-            empty = (~groups.any(dim=1)).nonzero()[:, 0].tolist()
-            raise ValueError(f"a group holds at least one vehicle: rows {empty} of groups hold none; leave them out")
+        refuse_empty(groups)
         views = [self._view(received, w, g) for w, g in zip(world.split(CHUNK), groups.split(CHUNK), strict=True)]
         return Anchored(*(torch.cat(parts) for parts in zip(*views, strict=True)))
 
@@ -150,11 +148,7 @@ class CoperceptionDetector(nn.Module):
     @property
     def digest(self) -> str:
         """A fingerprint of the weights and of all that changes what they say: part of every cache key."""
-        sha = hashlib.sha256(f"{self.fusion} {self.rounds} {self.resampling} {self.floor} {self.threshold}".encode())
-        for name, tensor in sorted(self.state_dict().items()):
-            sha.update(name.encode())
-            sha.update(tensor.detach().cpu().contiguous().numpy().tobytes())
-        return sha.hexdigest()[:16]
+        return fingerprint(self, f"{self.fusion} {self.rounds} {self.resampling} {self.floor} {self.threshold}")
 
     def _view(
         self, received: Float[Tensor, "E N C H W"], world: Int[Tensor, " B"], groups: Bool[Tensor, "B N"]
