@@ -29,7 +29,12 @@ Seed = int | np.random.SeedSequence | None
 
 @dataclass(frozen=True, eq=False)
 class Situation:
-    """The current frame before anyone acts: all that a white-box attacker may know. First axis: worlds."""
+    """The current frame before anyone acts: all that a white-box attacker may know. First axis: worlds.
+
+    That includes the defence, by what the ego did in the last frame (`output`, `verdict`) and by `rehearse`: what would
+    come of a δ if it were played now. It judges by copies of the defenders as they are, their algorithm and all they
+    hold in mind, but their coins fall as the attacker's own generators say: one a world. No defender changes by it.
+    """
 
     features: Callable[[], Float[Tensor, "E N C H W"]]  # encoded maps, sender frames; read on demand
     received: Float[Tensor, "E N C H W"]  # the same in the ego frame, nobody lying yet
@@ -45,6 +50,10 @@ class Situation:
     budget: float  # Δ
     norm: str
     detector: DetectorLike
+    place: Float[np.ndarray, "E 2"]  # where the egos stand in the world; m
+    output: tuple[View | None, ...]  # what they acted on in the last frame; None in the first
+    verdict: tuple[Verdict | None, ...]  # of the last frame
+    rehearse: Callable[[Float[Tensor, "E k C H W"], Sequence[np.random.Generator]], Outcome]
     kept: Shaped[Tensor, "E ..."] | None = None  # what the egos keep of their own sweeps, if the detector asks for it
 
     def eyes(self, worlds: Int[Tensor, " B"] | slice = slice(None)) -> DetectorLike:
@@ -92,6 +101,7 @@ class _State:
 
     seeds: np.random.SeedSequence
     defender: Defender
+    coins: np.random.Generator | None = None  # the defender's
     scene: str = ""
     start: int = 0
     frame: int = 0  # since the episode began
@@ -99,6 +109,11 @@ class _State:
     output: View | None = None
     verdict: Verdict | None = None
     error: str | None = None
+
+    def imagined(self, coins: np.random.Generator) -> Defender:
+        """A copy of the defender as it is, but for its coins; the last output, which never changes, is shared."""
+        twin: Defender = copy.deepcopy(self.defender, {id(self.coins): coins, id(self.output): self.output})
+        return twin
 
 
 class World:
@@ -173,6 +188,7 @@ class World:
         tell = getattr(state.defender, "tell", None)  # the oracle alone is told the truth: defenders.bounds
         if tell is not None:
             tell(frozenset(state.attackers))
+        state.coins = mind
         try:
             state.defender.reset(settings.n_maps, mind)
         except Exception as error:  # a plug-in's failure ends its own episode, with its name
@@ -240,6 +256,10 @@ class World:
                 budget=self.settings.budget,
                 norm=self.settings.norm,
                 detector=self.detector,
+                place=np.stack([ego_place(ep.scene, t) for ep, t in places]),
+                output=tuple(s.output for s in self._worlds),
+                verdict=tuple(s.verdict for s in self._worlds),
+                rehearse=self._rehearse,
                 kept=stack_kept(places, self.device),
             )
         return self._situation
@@ -249,17 +269,23 @@ class World:
 
         Raises ValueError if δ has the wrong shape or is not finite. A larger δ than the budget allows is projected.
         """
-        with torch.inference_mode():
-            situation = self.situation()
-            attacked, norms = self._transmit(situation, delta)
-            perceive = self._perceiver(attacked, situation)
-            seen = perceive([(e, self._everyone) for e in range(self.num_envs)])
-            states = zip(self._worlds, seen, strict=True)
-            frames = [Frame(s.frame, self.settings.n_maps, view, s.output) for s, view in states]
-            judgements = judge(frames, self.defenders, perceive)
-            outcome = self._outcome(frames, judgements, norms)
-            self._advance(outcome)
+        outcome = self._play(delta, self.defenders)
+        self._advance(outcome)
         return outcome
+
+    def _rehearse(self, delta: Float[Tensor, "E k C H W"], coins: Sequence[np.random.Generator]) -> Outcome:
+        """See `Situation.rehearse`."""
+        return self._play(delta, [s.imagined(own) for s, own in zip(self._worlds, coins, strict=True)])
+
+    @torch.inference_mode()
+    def _play(self, delta: Float[Tensor, "E k C H W"], minds: Sequence[Defender]) -> Outcome:
+        situation = self.situation()
+        attacked, norms = self._transmit(situation, delta)
+        perceive = self._perceiver(attacked, situation)
+        seen = perceive([(e, self._everyone) for e in range(self.num_envs)])
+        states = zip(self._worlds, seen, strict=True)
+        frames = [Frame(s.frame, self.settings.n_maps, view, s.output) for s, view in states]
+        return self._outcome(frames, judge(frames, minds, perceive), norms)
 
     def _transmit(
         self, situation: Situation, delta: Float[Tensor, "E k C H W"]

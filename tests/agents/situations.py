@@ -48,8 +48,16 @@ def situation(
         budget=0.3,
         norm="linf",
         detector=model,
+        place=np.zeros((n_worlds, 2)),
+        output=(None,) * n_worlds,
+        verdict=(None,) * n_worlds,
+        rehearse=_no_defence,
     )
     return replace(made, **overrides)
+
+
+def _no_defence(*_: Any) -> Any:
+    raise AssertionError("there is no world behind this situation in which a defence could be rehearsed")
 
 
 def _world(seed: int, n_liars: int, n_maps: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
