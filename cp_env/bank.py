@@ -1,7 +1,8 @@
 """The scene bank: every scene is encoded once and kept as half-precision memory maps in the user's cache directory.
 
-The cache key is a hash over the scene source and the detector's weights, so a stale entry cannot be read; deleting the
-directory loses nothing but time. Processes share the files: each writes under a name of its own and then renames.
+The cache key is a hash over the scene source and what the detector's maps depend on (`maps_digest`), so a stale entry
+cannot be read, and detectors that fuse the same maps in different ways share theirs; deleting the directory loses
+nothing but time. Processes share the files: each writes under a name of its own and then renames.
 Set the environment variable `CP_ENV_CACHE` to keep the cache elsewhere.
 """
 
@@ -24,7 +25,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from cp_env.detector.decoder import Dense
-from cp_env.detector.protocol import DetectorLike, KeepsSweep, at_side
+from cp_env.detector.protocol import DetectorLike, KeepsSweep, at_side, maps_digest
 from cp_env.geometry import grid_origin
 from cp_env.truth import truth_boxes
 from cp_env.types import Scene, SceneSource, View
@@ -99,7 +100,7 @@ class SceneBank:
         self, source: SceneSource, detector: DetectorLike, root: Path | None = None, progress: bool = True
     ) -> None:
         self.source, self.detector, self.progress = source, detector, progress
-        self.root = (root or cache_directory()) / f"{source.digest}-{detector.digest}"
+        self.root = (root or cache_directory()) / f"{source.digest}-{maps_digest(detector)}"
         self._passing = bool(getattr(source, "endless", False))
         if self._passing:  # a folder of our own, which goes with us
             self.root /= uuid.uuid4().hex

@@ -334,6 +334,20 @@ class NamedNotHashed(Toy):
         return "toy1"
 
 
+@breaks("maps_digest_tells_encoders_apart")
+class ClaimsEveryonesMaps(Toy):
+    def __init__(self) -> None:
+        super().__init__()
+        self.scale = torch.nn.Parameter(torch.ones(1))
+
+    def encode(self, sweeps: Sequence[Sweep]) -> Tensor:
+        return self.scale * super().encode(sweeps)
+
+    @property
+    def maps_digest(self) -> str:
+        return "toys"
+
+
 @pytest.mark.parametrize(("rule", "mutant"), MUTANTS, ids=[mutant.__name__ for _, mutant in MUTANTS])
 def test_a_mutant_breaks_its_rule(rule: str, mutant: type[Toy]) -> None:
     with pytest.raises(DetectorRuleBroken) as caught:

@@ -12,7 +12,6 @@ from cp_env import evaluation
 from cp_env.detector import load_detector
 from cp_env.detector.evaluate import GRID
 from cp_env.detector.fusion import FUSIONS
-from cp_env.detector.train import encoder_digest
 from cp_env.detector.weights import FOLDER, about, names, read_detector
 from cp_env.registration import ENV_ID
 from cp_env.settings import FUSIONS as NAMES
@@ -27,7 +26,7 @@ def test_every_fusion_ships_and_is_listed_alike() -> None:
 @pytest.mark.parametrize("name", FUSIONS)
 def test_one_encoder_serves_them_all(name: str) -> None:
     path = FOLDER / f"{name}.safetensors"
-    assert encoder_digest(read_detector(path)) == encoder_digest(read_detector(FOLDER / "mean.safetensors"))
+    assert read_detector(path).maps_digest == read_detector(FOLDER / "mean.safetensors").maps_digest
     assert about(path)["calibrated"] == "town/calibration"
     detector = load_detector(name)
     assert detector.fusion == name and detector.threshold in GRID

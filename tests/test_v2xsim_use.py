@@ -59,7 +59,7 @@ def test_maps_are_cached_under_the_sets_digest(spec: str, tmp_path: Path) -> Non
     source, detector = open_source(spec), Detector().freeze()
     bank = SceneBank(source, detector, tmp_path, progress=False)
     episode = bank.episode("toy-0", 3, rsu=True)
-    assert (tmp_path / f"{source.digest}-{detector.digest}" / "toy-0").is_dir()
+    assert (tmp_path / f"{source.digest}-{detector.maps_digest}" / "toy-0").is_dir()
     original = SceneBank(TOY, detector, tmp_path, progress=False).episode("toy-0", 3, rsu=True)
     assert_array_equal(episode.ego_T_sender, original.ego_T_sender)
     different = [np.mean(a != b) for a, b in zip(episode.features, original.features, strict=True)]

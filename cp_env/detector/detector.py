@@ -120,8 +120,13 @@ class Detector(nn.Module):
 
     @property
     def digest(self) -> str:
-        """A fingerprint of all weights and buffers and of the operating threshold: part of every cache key."""
+        """A fingerprint of all weights and buffers and of the operating threshold."""
         return fingerprint(self, f"{self.fusion} {self.floor} {self.threshold}")
+
+    @property
+    def maps_digest(self) -> str:
+        """A fingerprint of the encoder, of the class and of the grid: whatever the fusion, the maps are the same."""
+        return fingerprint(self.encoder, f"{type(self).__module__}.{type(self).__qualname__} {BEV} {self.extent}")
 
     @property
     def _weight(self) -> Tensor:

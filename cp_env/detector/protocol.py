@@ -12,7 +12,8 @@ The rest (`warp`, `coverage`, `detect`, `digest`) is inherited or written anew. 
 with another kind of output (anchors, points) says for every cell what its best guess is, and keeps the rest of it, for
 `detect`, in a subclass of `Dense`. `cp_env.testing.check_detector` holds a detector to the rules.
 
-A detector that decodes with parts of the ego's own sweep which are never sent is a `KeepsSweep` too.
+A detector that decodes with parts of the ego's own sweep which are never sent is a `KeepsSweep` too. Detectors that
+differ in `perceive` alone may share the cache of encoded scenes: they are `SharesMaps`.
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ class DetectorLike(Protocol):
 
     @property
     def digest(self) -> str:
-        """Changes whenever any answer would: part of every cache key."""
+        """Changes whenever any answer would: part of the key of whatever was played, and of maps (see `SharesMaps`)."""
         ...
 
     @property
@@ -96,6 +97,21 @@ class KeepsSweep(Protocol):
     def beside(self, kept: Shaped[Tensor, "E ..."]) -> DetectorLike:
         """The same detector at the side of the egos of E worlds, who kept this."""
         ...
+
+
+@runtime_checkable
+class SharesMaps(Protocol):
+    """A detector that says what its maps depend on: those of one `maps_digest` are encoded once for all of them."""
+
+    @property
+    def maps_digest(self) -> str:
+        """Changes whenever an answer of `encode`, `warp` or `keep` would, whatever `perceive` does."""
+        ...
+
+
+def maps_digest(detector: DetectorLike) -> str:
+    """What the detector's maps are cached under: its `maps_digest` if it has one, else the whole `digest`."""
+    return detector.maps_digest if isinstance(detector, SharesMaps) else detector.digest
 
 
 def at_side(detector: DetectorLike, kept: Shaped[Tensor, "E ..."] | None) -> DetectorLike:

@@ -178,14 +178,6 @@ def _resume(path: Path, detector: Detector, optimizer: torch.optim.Optimizer) ->
     return int(state["step"])
 
 
-def encoder_digest(detector: Detector) -> str:
-    """A fingerprint of f_E alone: the key of its maps in the cache."""
-    sha = hashlib.sha256()
-    for name, tensor in sorted(detector.encoder.state_dict().items()):
-        sha.update(name.encode() + tensor.detach().cpu().contiguous().numpy().tobytes())
-    return sha.hexdigest()[:16]
-
-
 def load(args: Args, source: SceneSource) -> list[Footage]:
     """The footage, with the maps of the encoder if it stays as it is."""
     import platformdirs
@@ -195,7 +187,7 @@ def load(args: Args, source: SceneSource) -> list[Footage]:
     if args.encoder is None:
         return footage
     detector = read_detector(args.encoder)
-    key = hashlib.sha256(f"{source.digest} {args.stride} {encoder_digest(detector)}".encode()).hexdigest()[:16]
+    key = hashlib.sha256(f"{source.digest} {args.stride} {detector.maps_digest}".encode()).hexdigest()[:16]
     return encode(footage, detector, cache / f"maps-{key}")
 
 

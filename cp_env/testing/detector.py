@@ -8,7 +8,8 @@ A detector is looked at through its methods alone, on a crossing of five vehicle
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -18,7 +19,7 @@ import torch
 from torch import Tensor, nn
 
 from cp_env.detector.decoder import Dense
-from cp_env.detector.protocol import KeepsSweep, at_side
+from cp_env.detector.protocol import KeepsSweep, SharesMaps, at_side
 from cp_env.geometry import grid_origin
 from cp_env.lidar import scan
 from cp_env.testing.rollout import Violation, require
@@ -123,6 +124,21 @@ class Trial:
 DetectorRule = Callable[[Trial], None]
 
 
+@contextmanager
+def moved(*parameters: nn.Parameter) -> Iterator[None]:
+    """Other weights for a while: each larger by 1."""
+    before = [parameter.detach().clone() for parameter in parameters]
+    with torch.no_grad():
+        for parameter in parameters:
+            parameter.add_(1)
+    try:
+        yield
+    finally:
+        with torch.no_grad():
+            for parameter, value in zip(parameters, before, strict=True):
+                parameter.copy_(value)
+
+
 def has_the_methods(trial: Trial) -> None:
     """It has the protocol's methods, C, H = W, an extent of 32 m (views are compared there), a threshold, a device."""
     detector = trial.detector
@@ -153,13 +169,29 @@ def digest_tells_weights_apart(trial: Trial) -> None:
         return
     digest = trial.detector.digest
     for name, parameter in trial.detector.named_parameters():
-        before = parameter.detach().clone()
-        with torch.no_grad():
-            parameter.add_(1)
-        changed = trial.detector.digest != digest
-        with torch.no_grad():
-            parameter.copy_(before)
+        with moved(parameter):
+            changed = trial.detector.digest != digest
         require(changed, f"digest is the same with another {name}")
+
+
+def maps_digest_tells_encoders_apart(trial: Trial) -> None:
+    """A `maps_digest`, if there is one, is fit for a file name; weights that it ignores change no map: it keys them."""
+    detector = trial.detector
+    if not isinstance(detector, SharesMaps):
+        return
+    digest = detector.maps_digest
+    require(isinstance(digest, str) and digest.isalnum(), f"maps_digest must be letters and digits, not {digest!r}")
+    ignored = {}
+    for name, parameter in detector.named_parameters() if isinstance(detector, nn.Module) else ():
+        with moved(parameter):
+            if detector.maps_digest == digest:
+                ignored[name] = parameter
+    order = torch.from_numpy(trial.order)
+    with moved(*ignored.values()):
+        maps = trial.detector.encode(trial.sweeps)
+        received = trial.detector.warp(maps[order], trial.poses)
+    same = torch.equal(maps, trial.maps) and torch.equal(received, trial.received)
+    require(same, f"maps_digest is the same with other weights, maps are not: it ignores {', '.join(ignored)}")
 
 
 def maps_are_shared_maps(trial: Trial) -> None:
@@ -357,6 +389,7 @@ RULES: tuple[DetectorRule, ...] = (
     the_ego_is_not_reported,
     digest_is_stable,
     digest_tells_weights_apart,
+    maps_digest_tells_encoders_apart,
 )
 
 

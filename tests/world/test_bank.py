@@ -9,7 +9,10 @@ import pytest
 import torch
 
 from cp_env.bank import SceneBank
-from cp_env.detector import Detector
+from cp_env.detector import Detector, load_detector
+from cp_env.detector.fusion import FUSIONS
+from cp_env.detector.protocol import SharesMaps
+from examples.bring_your_own_detector import Toy
 from tests.toy import ToySource
 
 
@@ -42,6 +45,32 @@ def test_more_vehicles_reuse_what_is_there(fresh: SceneBank) -> None:
     assert all(path.stat().st_mtime_ns == stamp for path, stamp in stamps.items())
     alone = SceneBank(fresh.source, fresh.detector, fresh.root / "elsewhere", progress=False).episode("toy-0", 4, True)
     np.testing.assert_allclose(larger.maps("received", 2), alone.maps("received", 2), atol=2e-3)
+
+
+def test_fusions_of_one_encoder_share_their_maps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    source = ToySource(n_frames=2)
+    first = SceneBank(source, load_detector("mean"), tmp_path, progress=False).episode("toy-0", 3, False)
+    monkeypatch.setattr(Detector, "encode", lambda *_: pytest.fail("encoded again"))
+    for name in sorted(FUSIONS.keys() - {"mean"}):
+        episode = SceneBank(source, load_detector(name), tmp_path, progress=False).episode("toy-0", 3, False)
+        assert torch.equal(episode.maps("received", 1), first.maps("received", 1))
+        assert not torch.equal(episode.clean.logits, first.clean.logits), "what the ego sees is each fusion's own"
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_others_maps_are_never_shared(detector: Detector, tmp_path: Path) -> None:
+    """Another encoder, another class, and a detector that says nothing of its maps have folders of their own."""
+
+    class Louder(Detector):
+        """Encodes otherwise with the same weights."""
+
+    louder, mine, twice = Louder().freeze(), Toy().freeze(), Toy().freeze()
+    louder.load_state_dict(detector.state_dict())
+    twice.scale = torch.nn.Parameter(torch.tensor(2.0), requires_grad=False)
+    assert not isinstance(mine, SharesMaps)
+    source = ToySource(n_frames=2)
+    banks = [SceneBank(source, one, tmp_path) for one in (detector, louder, load_detector("mean"), mine, twice)]
+    assert len({bank.root for bank in banks}) == len(banks)
 
 
 def test_a_broken_file_is_named(fresh: SceneBank) -> None:

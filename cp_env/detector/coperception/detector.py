@@ -147,8 +147,13 @@ class CoperceptionDetector(nn.Module):
 
     @property
     def digest(self) -> str:
-        """A fingerprint of the weights and of all that changes what they say: part of every cache key."""
+        """A fingerprint of the weights and of all that changes what they say."""
         return fingerprint(self, f"{self.fusion} {self.rounds} {self.resampling} {self.floor} {self.threshold}")
+
+    @property
+    def maps_digest(self) -> str:
+        """A fingerprint of the encoder, the class and the way of warping: the fusions of one encoder share it."""
+        return fingerprint(self.encoder, f"{type(self).__module__}.{type(self).__qualname__} {self.resampling}")
 
     def _view(
         self, received: Float[Tensor, "E N C H W"], world: Int[Tensor, " B"], groups: Bool[Tensor, "B N"]
