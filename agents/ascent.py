@@ -1,4 +1,4 @@
-"""One projected-ascent loop. PGD starts at random in the ball, BIM at zero: arguments, not classes."""
+"""The white-box attacker: one frame of it is whom, what, where, how much, and then a search. All are arguments."""
 
 from __future__ import annotations
 
@@ -7,131 +7,99 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Shaped
 from torch import Tensor
 
-from agents.ball import Ball, make_ball
-from agents.objective import Objective
+from agents.ball import Domain, make_ball
+from agents.objective import make_objective
 from agents.protocol import Streams, streams
-from agents.schedule import Schedule, always
-from cp_env.detector.adversarial import lies
-from cp_env.detector.decoder import Dense
+from agents.schedule import Allowance, Schedule, always, make_schedule, whole
+from agents.steepest import Search, Steepest
+from agents.views import Audience, Goal, Views, attack_loss, make_audience, survey
 from cp_env.world import Situation
 
-AUDIENCES = ("everyone", "fused")
-Goal = Callable[[Dense, Dense], Float[Tensor, " B"]]
-Loss = Callable[[Float[Tensor, "B k C H W"]], Float[Tensor, " B"]]
-
-
-def ascend(
-    loss: Loss, start: Float[Tensor, "B k C H W"], *, ball: Ball, budget: float, steps: int, step_size: float
-) -> tuple[Float[Tensor, "B k C H W"], Float[Tensor, " B"]]:
-    """The best iterate of each world and its loss, after `steps` steepest steps of length `step_size` from `start`."""
-    delta = ball.project(start, budget)
-    best, best_loss = delta, torch.full((len(start),), -torch.inf, device=start.device)
-    for step in range(steps + 1):
-        leaf = delta.detach().requires_grad_(step < steps)
-        value = loss(leaf)
-        better = value.detach() > best_loss
-        best = torch.where(better[:, None, None, None, None], leaf.detach(), best)
-        best_loss = torch.where(better, value.detach(), best_loss)
-        if step < steps:
-            (gradient,) = torch.autograd.grad(value.sum(), leaf)
-            delta = ball.project(leaf.detach() + step_size * ball.steepest(gradient), budget)
-    return best, best_loss
+Cells = Callable[[Situation], Shaped[Tensor, "E k H W"]]
+"""The cells of each liar's own map (its grid frame) that it may touch: True or 1, else False or 0."""
 
 
 @dataclass
 class Ascent:
-    """Projected gradient ascent on `objective`, joint over a world's liars, through warp, fusion and decoder.
+    """Liars that search for the δ that maximises an objective of what the ego will see, through warp, fusion, decoder.
 
-    Defaults are the paper's (Sec. 11.1): 15 steps of 0.1, an absolute length in the ball's norm. `audience` is the
-    group whose view is attacked: "everyone" fused, Eq. (1), by liars that know of no defence and never pause; or those
-    the ego "fused" last, by liars that do: the excluded among them have no effect and pause. In grace frames all pause.
+    search        how: `Steepest` (PGD, BIM, MI-FGSM) or `CarliniWagner`
+    random_start  from a random point of the ball, or from zero
+    restarts      so many random starts; the best end is kept
+    objective     what: `both`, `hide`, `spoof`, `remove@…`, `plant@…`, or any `Goal`
+    audience      whose view: of "everyone" fused, Eq. (1), by liars that know of no defence and never pause; of those
+                  the ego "fused" last, by liars that do: the excluded have no effect and pause; or any `Audience`
+    schedule      when; in grace frames all pause
+    allowance     how much of Δ, as a share, frame by frame
+    where         on which cells of the liars' maps; all by default
+    joint         all liars of a world search together, or each for itself as if the others were honest
     """
 
-    steps: int = 15
-    step_size: float = 0.1
+    search: Search = field(default_factory=Steepest)
     random_start: bool = True
-    objective: Goal = field(default_factory=Objective)
-    audience: str = "everyone"
-    schedule: Schedule = always
+    restarts: int = 1
+    objective: str | Goal = "both"
+    audience: str | Audience = "everyone"
+    schedule: str | Schedule = always
+    allowance: Allowance = whole
+    where: Cells | None = None
+    joint: bool = True
     _streams: list[np.random.Generator] = field(default_factory=list, init=False, repr=False)
 
     def __post_init__(self) -> None:
-        if self.audience not in AUDIENCES:
-            raise ValueError(f"audience must be one of {AUDIENCES}, got {self.audience!r}")
-        if self.steps < 0 or not self.step_size > 0:
-            raise ValueError(f"ascent needs steps >= 0 and step_size > 0, got {self.steps} and {self.step_size}")
+        if self.restarts < 1 or (self.restarts > 1 and not self.random_start):
+            raise ValueError(
+                f"restarts must be at least 1, and need random_start=True to differ; got restarts={self.restarts}, "
+                f"random_start={self.random_start}"
+            )
+        self._goal, self._audience = make_objective(self.objective), make_audience(self.audience)
+        self._schedule = make_schedule(self.schedule)
 
     def reset(self, n_worlds: int, rng: Streams) -> None:
         self._streams = streams(n_worlds, rng)
 
     def act(self, situation: Situation) -> Float[Tensor, "E k C H W"]:
-        """See `Attacker.act`."""
+        """See `Attacker.act`. Raises ValueError for an audience, an allowance or cells that cannot be used."""
         delta = silence(situation)
-        groups = situation.fused if self.audience == "fused" else torch.ones_like(situation.fused)
-        liars = groups.gather(1, situation.attackers)
-        worlds = torch.nonzero(_due(situation, self.schedule) & liars.any(1)).flatten()
-        if len(worlds):
-            start = self._start(worlds, delta[worlds], make_ball(situation.norm), situation.budget)
-            start = start * liars[worlds, :, None, None, None]
-            loss = attack_loss(situation, worlds, groups[worlds], self.objective)
-            delta[worlds] = self._search(loss, start, situation.norm, situation.budget)
+        views = survey(situation, self._audience, due(situation, self._schedule), joint=self.joint)
+        if len(views.world):
+            domain = self._domain(views)
+            loss = attack_loss(views, self._goal)
+            best, best_value = self.search(loss, self._start(views, delta), domain)
+            for _ in range(1, self.restarts):
+                found, value = self.search(loss, self._start(views, delta), domain)
+                better = value > best_value
+                best = torch.where(better[:, None, None, None, None], found, best)
+                best_value = torch.where(better, value, best_value)
+            delta[views.world[:, None], views.slots] = best
         return delta
 
-    def _search(
-        self, loss: Loss, start: Float[Tensor, "B k C H W"], norm: str, budget: float
-    ) -> Float[Tensor, "B k C H W"]:
-        """The worst δ found for each world."""
-        best, _ = ascend(loss, start, ball=make_ball(norm), budget=budget, steps=self.steps, step_size=self.step_size)
-        return best
+    def _domain(self, views: Views) -> Domain:
+        """Where the teams' δ may lie."""
+        situation = views.situation
+        share = torch.from_numpy(np.asarray(self.allowance(situation.frame), dtype=np.float32))
+        if not bool(((share >= 0) & (share <= 1)).all()):
+            raise ValueError(f"an allowance is a share of the budget, 0 to 1, in each world; got {share.tolist()}")
+        cells = None
+        if self.where is not None:
+            mask, shape = self.where(situation), (*situation.attackers.shape, *situation.received.shape[-2:])
+            if tuple(mask.shape) != shape:
+                raise ValueError(f"where must give cells of shape [E, k, H, W] = {shape}, not {tuple(mask.shape)}")
+            cells = (mask[views.world[:, None], views.slots] > 0).to(situation.received)[:, :, None]
+        radius = share.to(situation.received)[views.world][:, None, None, None, None]
+        return Domain(situation.norm, situation.budget, radius, cells)
 
-    def _start(self, worlds: Tensor, zero: Float[Tensor, "B k C H W"], ball: Ball, budget: float) -> Tensor:
+    def _start(self, views: Views, zero: Float[Tensor, "E k C H W"]) -> Float[Tensor, "T m C H W"]:
+        """Zero for liars without effect, so that they stay there."""
         if not self.random_start:
-            return zero
-        shape = (zero.shape[1], zero.shape[2], zero.shape[3], zero.shape[4])
-        return torch.stack([ball.random(shape, budget, self._streams[e]) for e in worlds.tolist()]).to(zero)
-
-
-@dataclass
-class Noise:
-    """Random perturbations, uniform in the L∞ ball: what no gradient buys."""
-
-    schedule: Schedule = always
-    _streams: list[np.random.Generator] = field(default_factory=list, init=False, repr=False)
-
-    def reset(self, n_worlds: int, rng: Streams) -> None:
-        self._streams = streams(n_worlds, rng)
-
-    def act(self, situation: Situation) -> Float[Tensor, "E k C H W"]:
-        """See `Attacker.act`."""
-        delta = silence(situation)
-        ball, (k, c, h, w) = make_ball(situation.norm), delta.shape[1:]
-        for e in _due(situation, self.schedule).nonzero().flatten().tolist():
-            delta[e] = ball.random((k, c, h, w), situation.budget, self._streams[e])
-        return delta
-
-
-class Silence:
-    """Liars that do not lie."""
-
-    def reset(self, n_worlds: int, rng: Streams) -> None:
-        del n_worlds, rng
-
-    def act(self, situation: Situation) -> Float[Tensor, "E k C H W"]:
-        """See `Attacker.act`."""
-        return silence(situation)
-
-
-def attack_loss(situation: Situation, worlds: Int[Tensor, " B"], groups: Bool[Tensor, "B N"], objective: Goal) -> Loss:
-    """`objective` of the ego's view of `groups` in `worlds` if the liars add δ to what they send, Eq. (1), against the
-    view that it would have if nobody lied."""
-    liars = situation.attackers[worlds]
-    pose = torch.take_along_dim(situation.ego_T_sender[worlds], liars[..., None], 1)
-    perceive = lies(situation.eyes(worlds), situation.received[worlds], situation.coverage[worlds], groups, liars, pose)
-    clean = Dense(situation.clean.logits[worlds], situation.clean.boxes[worlds])
-    return lambda delta: objective(perceive(delta), clean)
+            return zero[views.world[:, None], views.slots]
+        ball, (k, c, h, w), start = make_ball(views.situation.norm), zero.shape[1:], torch.zeros_like(zero)
+        for e in views.world.unique().tolist():
+            start[e] = ball.random((k, c, h, w), views.situation.budget, self._streams[e])
+        return start[views.world[:, None], views.slots] * views.reach[..., None, None, None]
 
 
 def silence(situation: Situation) -> Float[Tensor, "E k C H W"]:
@@ -140,6 +108,6 @@ def silence(situation: Situation) -> Float[Tensor, "E k C H W"]:
     return situation.received.new_zeros((worlds, k, *situation.received.shape[2:]))
 
 
-def _due(situation: Situation, schedule: Schedule) -> Bool[Tensor, " E"]:
+def due(situation: Situation, schedule: Schedule) -> Bool[Tensor, " E"]:
     """The worlds in which this is a frame for lying."""
     return situation.active & torch.from_numpy(schedule(situation.frame)).to(situation.active.device)

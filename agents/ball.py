@@ -5,6 +5,7 @@ One δ is one liar's feature map (C, H, W); leading axes are independent balls.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -14,7 +15,7 @@ from torch import Tensor
 
 from cp_env import channel
 
-_MAP = (-3, -2, -1)
+MAP = (-3, -2, -1)
 
 
 @runtime_checkable
@@ -27,8 +28,8 @@ class Ball(Protocol):
         """The direction of unit norm that climbs fastest; zero where the gradient is."""
         ...
 
-    def project(self, delta: Float[Tensor, "*b C H W"], budget: float) -> Float[Tensor, "*b C H W"]:
-        """The nearest point of the ball."""
+    def project(self, delta: Float[Tensor, "*b C H W"], budget: float | Tensor) -> Float[Tensor, "*b C H W"]:
+        """The nearest point of the ball; of balls of their own sizes, if `budget` is a tensor that broadcasts."""
         ...
 
 
@@ -41,7 +42,7 @@ class Linf:
     def steepest(self, gradient: Float[Tensor, "*b C H W"]) -> Float[Tensor, "*b C H W"]:
         return gradient.sign()
 
-    def project(self, delta: Float[Tensor, "*b C H W"], budget: float) -> Float[Tensor, "*b C H W"]:
+    def project(self, delta: Float[Tensor, "*b C H W"], budget: float | Tensor) -> Float[Tensor, "*b C H W"]:
         return channel.project(delta, budget, "linf")
 
 
@@ -55,10 +56,10 @@ class L2:
         return self.project(self.steepest(direction) * length * budget, budget)
 
     def steepest(self, gradient: Float[Tensor, "*b C H W"]) -> Float[Tensor, "*b C H W"]:
-        norm = torch.linalg.vector_norm(gradient, dim=_MAP, keepdim=True)
+        norm = torch.linalg.vector_norm(gradient, dim=MAP, keepdim=True)
         return gradient / norm.clamp(min=torch.finfo(gradient.dtype).tiny)
 
-    def project(self, delta: Float[Tensor, "*b C H W"], budget: float) -> Float[Tensor, "*b C H W"]:
+    def project(self, delta: Float[Tensor, "*b C H W"], budget: float | Tensor) -> Float[Tensor, "*b C H W"]:
         return channel.project(delta, budget, "l2")
 
 
@@ -70,3 +71,30 @@ def make_ball(norm: str) -> Ball:
     if norm not in BALLS:
         raise ValueError(f"norm must be one of {sorted(BALLS)}, got {norm!r}")
     return BALLS[norm]
+
+
+@dataclass(frozen=True, eq=False)
+class Domain:
+    """Where the δ of T teams of m liars may lie: in a ball of `share` · Δ, on the `cells` that they may touch."""
+
+    norm: str
+    budget: float  # Δ
+    share: Float[Tensor, "T 1 1 1 1"]  # of Δ, 0 to 1
+    cells: Float[Tensor, "T m 1 H W"] | None = None  # 1 or 0; all by default
+
+    @property
+    def radius(self) -> Float[Tensor, "T 1 1 1 1"]:
+        """The largest ‖δ‖."""
+        return self.budget * self.share
+
+    def mask(self, delta: Float[Tensor, "T m C H W"]) -> Float[Tensor, "T m C H W"]:
+        """Zero outside the cells."""
+        return delta if self.cells is None else delta * self.cells
+
+    def steepest(self, gradient: Float[Tensor, "T m C H W"]) -> Float[Tensor, "T m C H W"]:
+        """The direction of unit norm that climbs fastest on the cells."""
+        return make_ball(self.norm).steepest(self.mask(gradient))
+
+    def project(self, delta: Float[Tensor, "T m C H W"]) -> Float[Tensor, "T m C H W"]:
+        """The nearest point of the domain."""
+        return make_ball(self.norm).project(self.mask(delta), self.radius)

@@ -15,53 +15,58 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from agents.ascent import Ascent, Loss
+from agents.ball import MAP, Domain
+from agents.steepest import Found, check_steps
+from agents.views import Loss
 
-_MAP = (-3, -2, -1)
 
-
-@dataclass
-class CarliniWagner(Ascent):
-    """Carlini and Wagner's attack, joint over a world's liars, from w = 0.
+@dataclass(frozen=True)
+class CarliniWagner:
+    """Adam over w, `steps` times; the iterate of the lowest value is kept. A `Search`.
 
     `step_size` is an absolute length in the ball's norm, as for PGD, of a first step: Adam's rate in w follows from it.
     The larger `c`, the less the size of the perturbation counts.
     """
 
-    random_start: bool = field(default=False, init=False)
+    steps: int = 15
+    step_size: float = 0.1
     c: float = 1.0
 
     def __post_init__(self) -> None:
-        super().__post_init__()
+        check_steps(self.steps, self.step_size)
         if not self.c > 0:
             raise ValueError(f"Carlini and Wagner's constant must be positive, got c={self.c}")
 
-    def _search(
-        self, loss: Loss, start: Float[Tensor, "B k C H W"], norm: str, budget: float
-    ) -> Float[Tensor, "B k C H W"]:
-        if budget == 0:
-            return start
-        inside, size = SPACES[norm]
-        entries = 1 if norm == "linf" else math.prod(start.shape[-3:])
-        w = start.detach().clone().requires_grad_()
-        adam = torch.optim.Adam([w], lr=self.step_size / budget / math.sqrt(entries))
+    def __call__(self, loss: Loss, start: Float[Tensor, "T m C H W"], domain: Domain) -> Found:
+        """See `Search`; how good a δ is, is minus the value that they minimise."""
+        start = domain.project(start)
+        if domain.budget == 0:
+            return start, start.new_zeros(len(start))
+        inside, outside, size = SPACES[domain.norm]
+        entries = 1 if domain.norm == "linf" else math.prod(start.shape[-3:])
+        w = outside(start / domain.radius.clamp(min=torch.finfo(start.dtype).tiny)).requires_grad_()
+        adam = torch.optim.Adam([w], lr=self.step_size / domain.budget / math.sqrt(entries))
         best, lowest = start, start.new_full((len(start),), torch.inf)
         for step in range(self.steps + 1):
-            share = inside(w)  # δ / Δ
-            value = size(share).sum(1) - self.c * loss(budget * share)
+            part = domain.mask(inside(w))  # δ as a part of the largest
+            value = size(part).sum(1) - self.c * loss(domain.radius * part)
             better = value.detach() < lowest
-            best = torch.where(better[:, None, None, None, None], budget * share.detach(), best)
+            best = torch.where(better[:, None, None, None, None], (domain.radius * part).detach(), best)
             lowest = torch.where(better, value.detach(), lowest)
             if step < self.steps:
                 (w.grad,) = torch.autograd.grad(value.sum(), w)
                 adam.step()
-        return best
+        return best, -lowest
+
+
+EDGE = 1 - 1e-3
+"""The largest part of the ball from which w starts: on its surface w would be infinite."""
 
 
 def _entrywise(w: Float[Tensor, "*b C H W"]) -> Float[Tensor, "*b C H W"]:
@@ -69,19 +74,31 @@ def _entrywise(w: Float[Tensor, "*b C H W"]) -> Float[Tensor, "*b C H W"]:
 
 
 def _radial(w: Float[Tensor, "*b C H W"]) -> Float[Tensor, "*b C H W"]:
-    length = (w.square().sum(_MAP, keepdim=True) + torch.finfo(w.dtype).tiny).sqrt()
+    length = (w.square().sum(MAP, keepdim=True) + torch.finfo(w.dtype).tiny).sqrt()
     return w * (length.tanh() / length)
 
 
+def _entrywise_back(part: Float[Tensor, "*b C H W"]) -> Float[Tensor, "*b C H W"]:
+    return part.clamp(-EDGE, EDGE).atanh()
+
+
+def _radial_back(part: Float[Tensor, "*b C H W"]) -> Float[Tensor, "*b C H W"]:
+    length = torch.linalg.vector_norm(part, dim=MAP, keepdim=True).clamp(min=torch.finfo(part.dtype).tiny)
+    return part * (length.clamp(max=EDGE).atanh() / length)
+
+
 def _mean_square(share: Float[Tensor, "*b C H W"]) -> Float[Tensor, "*b"]:
-    return share.square().mean(_MAP)
+    return share.square().mean(MAP)
 
 
 def _square(share: Float[Tensor, "*b C H W"]) -> Float[Tensor, "*b"]:
-    return share.square().sum(_MAP)
+    return share.square().sum(MAP)
 
 
-Space = tuple[Callable[[Tensor], Tensor], Callable[[Tensor], Tensor]]
+Map = Callable[[Tensor], Tensor]
 
-SPACES: dict[str, Space] = {"linf": (_entrywise, _mean_square), "l2": (_radial, _square)}
-"""For each norm, δ / Δ as a function of w, and ‖δ‖₂² as a share of the largest in the ball."""
+SPACES: dict[str, tuple[Map, Map, Map]] = {
+    "linf": (_entrywise, _entrywise_back, _mean_square),
+    "l2": (_radial, _radial_back, _square),
+}
+"""For each norm, δ / Δ as a function of w, its inverse, and ‖δ‖₂² as a share of the largest in the ball."""

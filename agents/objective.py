@@ -1,23 +1,38 @@
-"""What the liars of one frame want."""
+"""What the liars of one frame want: to hide, to spoof, both, or something of one car (`agents.targeted`)."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
-from jaxtyping import Float
-from torch import Tensor
-
-from cp_env.detector.adversarial import adversarial_loss
-from cp_env.detector.decoder import Dense
+from agents.naming import named
+from agents.targeted import plant, remove
+from agents.views import Goal, Score, Views
+from cp_env.detector.adversarial import distance_from
 
 
 @dataclass(frozen=True)
 class Objective:
-    """Weights of the three parts of `adversarial_loss`, PRBI Eq. (2): conceal, invent, displace."""
+    """Untargeted: weights of the three parts of `adversarial_loss`, PRBI Eq. (2): conceal, invent, displace."""
 
     hide: float = 1.0
     spoof: float = 1.0
     drift: float = 1.0
 
-    def __call__(self, dense: Dense, clean: Dense) -> Float[Tensor, " B"]:
-        return adversarial_loss(dense, clean, hide=self.hide, spoof=self.spoof, drift=self.drift)
+    def __call__(self, views: Views) -> Score:
+        return distance_from(views.clean, hide=self.hide, spoof=self.spoof, drift=self.drift)
+
+
+OBJECTIVES: dict[str, Callable[..., Goal]] = {
+    "both": Objective,
+    "hide": partial(Objective, 1.0, 0.0, 0.0),
+    "spoof": partial(Objective, 0.0, 1.0, 0.0),
+    "remove": remove,
+    "plant": plant,
+}
+
+
+def make_objective(objective: str | Goal) -> Goal:
+    """`both`, `hide`, `spoof`, `remove@3`, `remove@12.5:-3`, `plant@10:4:0.5` (see `agents.targeted`); or itself."""
+    return named("objective", objective, OBJECTIVES) if isinstance(objective, str) else objective

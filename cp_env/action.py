@@ -19,7 +19,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from cp_env.channel import project
-from cp_env.detector.adversarial import adversarial_loss, lies
+from cp_env.detector.adversarial import distance_from, lies
 from cp_env.detector.decoder import cell_centres
 from cp_env.settings import ACTIONS, choose
 from cp_env.world import Situation
@@ -162,15 +162,16 @@ class Guided(ActionMap):
             situation.eyes(busy),
             situation.received[busy],
             situation.coverage[busy],
-            situation.fused[busy],
             attackers,
             poses,
+            torch.arange(len(busy), device=busy.device),
+            situation.fused[busy],
         )
+        damage = distance_from(clean, hide=1 - spoof, spoof=spoof, drift=drift, where=where)
         for _ in range(self.steps):
             moving = moving.detach().requires_grad_()
             with torch.enable_grad():
-                loss = adversarial_loss(perceive(moving), clean, hide=1 - spoof, spoof=spoof, drift=drift, where=where)
-                (gradient,) = torch.autograd.grad(loss.sum(), moving)
+                (gradient,) = torch.autograd.grad(damage(perceive(moving)).sum(), moving)
             step = _steepest(gradient, situation.norm) * reach * (2.0 / self.steps)
             moving = _shrink(moving.detach() + step, reach, situation.norm)
         result = delta.clone()

@@ -17,10 +17,13 @@ def norm_of(delta: Float[Tensor, "*n C H W"], norm: str) -> Float[Tensor, "*n"]:
     return flat.double().norm(dim=-1).to(delta.dtype)  # single precision loses 1e-5 over so many entries
 
 
-def project(delta: Float[Tensor, "*n C H W"], budget: float, norm: str) -> Float[Tensor, "*n C H W"]:
-    """The nearest perturbation with ‖δ‖ ≤ Δ: clipped ("linf") or shortened ("l2")."""
+def project(delta: Float[Tensor, "*n C H W"], budget: float | Tensor, norm: str) -> Float[Tensor, "*n C H W"]:
+    """The nearest perturbation with ‖δ‖ ≤ Δ: clipped ("linf") or shortened ("l2").
+
+    `budget` is one Δ for all maps, or a tensor that broadcasts against them.
+    """
     if norm == "linf":
-        return delta.clamp(-budget, budget)
+        return delta.clamp(-budget, budget)  # type: ignore[arg-type]  # the stub wants both of one kind
     length = norm_of(delta, norm)[..., None, None, None].clamp(min=1e-12)
     return delta * (budget / length).clamp(max=1.0)
 

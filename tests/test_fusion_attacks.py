@@ -7,8 +7,6 @@ import pytest
 import torch
 
 import agents
-from agents.ascent import attack_loss
-from agents.objective import Objective
 from cp_env.detector import Detector
 from cp_env.detector.fusion import FUSIONS
 from tests.agents import situations
@@ -33,15 +31,15 @@ def lively(name: str) -> Detector:
 def test_gradients_beat_noise_and_reach_members_only(name: str) -> None:
     model = lively(name)
     situation = situations.situation(model, n_worlds=2)
-    groups, rows = torch.ones_like(situation.fused), torch.arange(2)
-    loss = attack_loss(situation, rows, groups, Objective())
     damage = {}
     for attack in ("noise", "bim", "cw"):
         attacker = agents.make(attack)
         attacker.reset(2, np.random.default_rng(0))
-        damage[attack] = loss(attacker.act(situation)).mean()
+        damage[attack] = situations.value(situation, attacker.act(situation)).mean()
     assert damage["bim"] > 3 * damage["noise"] and damage["cw"] > 2 * damage["noise"]
+    groups = torch.ones_like(situation.fused)
     groups[0, situation.attackers[0, 0]] = False
     delta = torch.zeros(2, 2, situations.CHANNELS, situations.SIZE, situations.SIZE, requires_grad=True)
-    (gradient,) = torch.autograd.grad(attack_loss(situation, rows, groups, Objective())(delta).sum(), delta)
+    loss = situations.value(situation, delta, audience=situations.groups_of(groups))
+    (gradient,) = torch.autograd.grad(loss.sum(), delta)
     assert (gradient.abs().amax((-3, -2, -1)) > 0).tolist() == [[False, True], [True, True]]

@@ -43,6 +43,9 @@ REACH = 2.0
 Weight = float | Float[Tensor, " B"]
 
 
+Loss = Callable[[Dense], Float[Tensor, " B"]]
+
+
 def adversarial_loss(
     dense: Dense,
     clean: Dense,
@@ -57,46 +60,65 @@ def adversarial_loss(
     `hide`, `spoof` and `drift` weigh the three parts, one number or one per view. A negative weight reverses a part.
     `where` weighs the cells of the score map, non-negative; by default all count alike.
     """
-    probability = clean.logits.detach().sigmoid()
-    objects = probability * (probability >= OBJECT_PROBABILITY)
+    return distance_from(clean, hide=hide, spoof=spoof, drift=drift, where=where)(dense)
+
+
+def distance_from(
+    clean: Dense, *, hide: Weight, spoof: Weight, drift: Weight, where: Float[Tensor, "B h w"] | None = None
+) -> Loss:
+    """`adversarial_loss` as a function of `dense`, for a `clean` that stays: what depends on it alone is done once."""
+    logits, boxes = clean.logits.detach(), clean.boxes.detach()
+    objects = object_cells(clean)
     count = objects.sum((-2, -1)).clamp(min=1.0)
     weights = objects if where is None else objects * where
-    background = _background(objects)
-    hidden = _capped(-dense.logits) - _capped(-clean.logits.detach())
-    drifted = (dense.boxes - clean.boxes.detach()).abs().clamp(max=REACH).mean(1)
-    ghosts = _ghosts(dense.logits, background, where) - _ghosts(clean.logits.detach(), background, where)
-    on_objects = hide * (weights * hidden).sum((-2, -1)) + drift * (weights * drifted).sum((-2, -1))
-    return (on_objects + spoof * ghosts) / count
+    taken = _near(objects)
+    shown, ghosts = _capped(-logits), _ghosts(logits, taken, where)
+
+    def loss(dense: Dense) -> Float[Tensor, " B"]:
+        hidden = _capped(-dense.logits) - shown
+        drifted = (dense.boxes - boxes).abs().clamp(max=REACH).mean(1)
+        on_objects = hide * (weights * hidden).sum((-2, -1)) + drift * (weights * drifted).sum((-2, -1))
+        return (on_objects + spoof * (_ghosts(dense.logits, taken, where) - ghosts)) / count
+
+    return loss
+
+
+def object_cells(clean: Dense) -> Float[Tensor, "B h w"]:
+    """The probability of the cells in which a view sees a vehicle, 0 elsewhere."""
+    probability = clean.logits.detach().sigmoid()
+    return probability * (probability >= OBJECT_PROBABILITY)
 
 
 def lies(
     detector: DetectorLike,
-    received: Float[Tensor, "B N C H W"],
-    coverage: Float[Tensor, "B N H W"],
+    received: Float[Tensor, "E N C H W"],
+    coverage: Float[Tensor, "E N H W"],
+    liars: Int[Tensor, "E k"],
+    ego_T_liar: Float[Tensor, "E k 3"],
+    world: Int[Tensor, " B"],
     groups: Bool[Tensor, "B N"],
-    liars: Int[Tensor, "B k"],
-    ego_T_liar: Float[Tensor, "B k 3"],
-) -> Callable[[Float[Tensor, "B k C H W"]], Dense]:
-    """What the ego perceives of each group as a function of the liars' δ, Eq. (1).
+) -> Callable[[Float[Tensor, "E k C H W"]], Dense]:
+    """What the ego of world `world[b]` perceives of group `groups[b]` as a function of the liars' δ, Eq. (1).
 
     A mean of maps is linear in δ, so what the others sent is fused once and not at every call.
     """
-    rows = torch.arange(len(received), device=received.device)
     if not isinstance(detector, Detector) or detector.fusion != "mean":
 
-        def general(delta: Float[Tensor, "B k C H W"]) -> Dense:
+        def general(delta: Float[Tensor, "E k C H W"]) -> Dense:
             attacked = inject(received, detector.warp(delta, ego_T_liar), liars)
-            return detector.perceive(attacked, coverage, rows, groups)
+            return detector.perceive(attacked, coverage, world, groups)
 
         return general
 
-    honest = detector.fuse(received, coverage, rows, groups)
-    members = coverage * groups[..., None, None]
-    share = torch.take_along_dim(members, liars[..., None, None], 1) / members.sum(1, keepdim=True).clamp(min=1)
+    honest = detector.fuse(received, coverage, world, groups)
+    members = coverage[world] * groups[..., None, None]
+    share = torch.take_along_dim(members, liars[world][..., None, None], 1)
+    share = (share / members.sum(1, keepdim=True).clamp(min=1))[:, :, None]
+    one_each = torch.equal(world, torch.arange(len(received), device=world.device))
 
-    def linear(delta: Float[Tensor, "B k C H W"]) -> Dense:
-        lie = detector.warp(delta, ego_T_liar) * share[:, :, None]
-        return detector.decode(honest + lie.sum(1))
+    def linear(delta: Float[Tensor, "E k C H W"]) -> Dense:
+        warped = detector.warp(delta, ego_T_liar)
+        return detector.decode(honest + ((warped if one_each else warped[world]) * share).sum(1))
 
     return linear
 
@@ -106,18 +128,16 @@ def _capped(logits: Float[Tensor, "..."]) -> Float[Tensor, "..."]:
     return logits.clamp(max=MARGIN)
 
 
-def _background(objects: Float[Tensor, "B h w"]) -> Float[Tensor, "B h w"]:
-    """1 on cells that neither are object cells nor touch one."""
-    near = functional.max_pool2d(objects.unsqueeze(1), kernel_size=3, stride=1, padding=1).squeeze(1)
-    return (near == 0).to(objects.dtype)
+def _near(objects: Float[Tensor, "B h w"]) -> Bool[Tensor, "B h w"]:
+    """The cells that are object cells or touch one: no place for a ghost."""
+    return functional.max_pool2d(objects.unsqueeze(1), kernel_size=3, stride=1, padding=1).squeeze(1) > 0
 
 
 def _ghosts(
-    logits: Float[Tensor, "B h w"], background: Float[Tensor, "B h w"], where: Float[Tensor, "B h w"] | None
+    logits: Float[Tensor, "B h w"], taken: Bool[Tensor, "B h w"], where: Float[Tensor, "B h w"] | None
 ) -> Float[Tensor, " B"]:
-    """Expected ghosts, in nats: each block counts as its most promising background cells do (log-sum-exp)."""
-    floor = torch.finfo(logits.dtype).min / 2
-    masked = torch.where(background > 0, logits, torch.full_like(logits, floor))
+    """Expected ghosts, in nats: each block counts as its most promising free cells do (log-sum-exp)."""
+    masked = logits.masked_fill(taken, torch.finfo(logits.dtype).min / 2)
     tiles = functional.unfold(masked.unsqueeze(1), kernel_size=BLOCK, stride=BLOCK)
     block = torch.logsumexp(tiles, 1)
     error = functional.softplus(_capped(block))

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import torch
 
+from agents.objective import Objective
+from agents.views import Audience, Goal, attack_loss, everyone, survey
 from cp_env.detector import Detector
 from cp_env.world import Situation
 
@@ -58,6 +60,19 @@ def situation(
 
 def _no_defence(*_: Any) -> Any:
     raise AssertionError("there is no world behind this situation in which a defence could be rehearsed")
+
+
+def value(
+    situation: Situation, delta: torch.Tensor, goal: Goal | None = None, audience: Audience = everyone
+) -> torch.Tensor:
+    """What δ is worth to the liars of each world; a liar must be in a group of every world."""
+    views = survey(situation, audience, torch.ones(len(delta), dtype=torch.bool), joint=True)
+    return attack_loss(views, goal or Objective())(delta)
+
+
+def groups_of(groups: torch.Tensor) -> Audience:
+    """The audience of one group for each world."""
+    return lambda situation: (groups[:, None], torch.ones(len(groups), 1))
 
 
 def _world(seed: int, n_liars: int, n_maps: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:

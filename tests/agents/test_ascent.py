@@ -8,8 +8,10 @@ import torch
 
 import agents
 from agents import ascent, schedule
-from agents.ascent import Ascent, attack_loss
+from agents.ascent import Ascent
 from agents.objective import Objective
+from agents.views import Score, Views
+from cp_env.detector import Dense
 from cp_env.detector.detector import FUSIONS
 from tests.agents import situations
 
@@ -24,7 +26,7 @@ def _act(name: str, situation: Any, seed: int = 0, **knobs: Any) -> torch.Tensor
 
 
 def _loss(situation: Any, delta: torch.Tensor) -> torch.Tensor:
-    return attack_loss(situation, torch.arange(len(delta)), torch.ones_like(situation.fused), Objective())(delta)
+    return situations.value(situation, delta)
 
 
 def _norm(name: str, delta: torch.Tensor) -> torch.Tensor:
@@ -121,12 +123,12 @@ def test_fusing_the_honest_once_changes_nothing(everyone: bool, monkeypatch: pyt
     situation = situations.situation(MODEL, n_worlds=3)
     groups = torch.ones_like(situation.fused)
     if not everyone:
-        groups[0, situation.attackers[0, 0]] = groups[1, 0] = groups[2, situation.attackers[2]] = False
+        groups[0, situation.attackers[0, 0]] = groups[1, situation.attackers[1, 1]] = groups[2, 0] = False
     delta = _act("noise", situation)
 
     def gradient() -> tuple[torch.Tensor, torch.Tensor]:
         leaf = delta.clone().requires_grad_()
-        loss = attack_loss(situation, torch.arange(3), groups, Objective())(leaf)
+        loss = situations.value(situation, leaf, audience=situations.groups_of(groups))
         return loss.detach(), torch.autograd.grad(loss.sum(), leaf)[0]
 
     fast = gradient()
@@ -152,20 +154,24 @@ def test_the_best_iterate_is_kept() -> None:
     situation = situations.situation(MODEL)
     values: list[torch.Tensor] = []
 
-    class Spy(Objective):
-        def __call__(self, dense: Any, clean: Any) -> torch.Tensor:
-            value = super().__call__(dense, clean)
+    def spy(views: Views) -> Score:
+        score = Objective()(views)
+
+        def noted(dense: Dense) -> torch.Tensor:
+            value = score(dense)
             values.append(value.detach())
             return value
 
-    delta = _act("bim", situation, steps=9, step_size=0.6, objective=Spy())
+        return noted
+
+    delta = _act("bim", situation, steps=9, step_size=0.6, objective=spy)
     seen = torch.stack(values)
     assert len(seen) == 10 and (seen[-1] < seen.amax(0)).any()
     torch.testing.assert_close(_loss(situation, delta), seen.amax(0))
 
 
 def test_bad_input_says_what_to_do() -> None:
-    with pytest.raises(ValueError, match="known: none, noise, pgd, bim, cw"):
+    with pytest.raises(ValueError, match="known: none, noise, pgd, bim, mi_fgsm, cw"):
         agents.make("fgsm")
     with pytest.raises(ValueError, match="knobs"):
         agents.make(Ascent(), steps=3)

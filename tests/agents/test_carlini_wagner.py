@@ -9,9 +9,8 @@ import pytest
 import torch
 
 import agents
-from agents.ascent import attack_loss
+from agents.ball import Domain
 from agents.carlini_wagner import CarliniWagner
-from agents.objective import Objective
 from tests.agents import situations
 
 MODEL = situations.detector()
@@ -24,8 +23,11 @@ def _act(situation: Any, **knobs: Any) -> torch.Tensor:
 
 
 def _loss(situation: Any, delta: torch.Tensor) -> torch.Tensor:
-    groups = torch.ones_like(situation.fused)
-    return attack_loss(situation, torch.arange(len(delta)), groups, Objective())(delta)
+    return situations.value(situation, delta)
+
+
+def _ball(norm: str) -> Domain:
+    return Domain(norm, 0.3, torch.ones(1, 1, 1, 1, 1))
 
 
 @pytest.mark.parametrize("norm", ["linf", "l2"])
@@ -38,7 +40,7 @@ def test_the_optimum_of_a_linear_loss(norm: str) -> None:
     expected = c * slope * largest / 2
     assert (expected.norm() if norm == "l2" else expected.abs().max()) < budget
     attack = CarliniWagner(steps=250, step_size=0.005, c=c)
-    found = attack._search(lambda delta: (slope * delta).sum((1, 2, 3, 4)), torch.zeros_like(slope), norm, budget)
+    found, _ = attack(lambda delta: (slope * delta).sum((1, 2, 3, 4)), torch.zeros_like(slope), _ball(norm))
     torch.testing.assert_close(found, expected, rtol=0.02, atol=1e-4)
 
 
@@ -46,7 +48,7 @@ def test_the_optimum_of_a_linear_loss(norm: str) -> None:
 def test_whatever_pulls_it_stays_inside_the_ball(norm: str) -> None:
     attack = CarliniWagner(steps=200, step_size=0.1, c=1e6)
     start = torch.zeros(1, 2, 1, 2, 2)
-    found = attack._search(lambda delta: delta.sum((1, 2, 3, 4)), start, norm, 0.3)
+    found, _ = attack(lambda delta: delta.sum((1, 2, 3, 4)), start, _ball(norm))
     length = found.abs().amax() if norm == "linf" else found.flatten(-3).norm(dim=-1).amax()
     assert 0.29 < length <= 0.3
 
@@ -81,5 +83,3 @@ def test_it_is_smaller_than_bim_at_no_less_than_most_of_its_damage() -> None:
 def test_a_constant_that_buys_nothing_is_refused() -> None:
     with pytest.raises(ValueError, match="must be positive, got c=0"):
         agents.make("cw", c=0)
-    with pytest.raises(TypeError, match="random_start"):
-        agents.make("cw", random_start=True)
