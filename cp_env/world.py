@@ -148,6 +148,8 @@ class World:
         self.device = self.detector.device
         prototype = defenders.make(defender)
         self._worlds = [_State(np.random.SeedSequence(), copy.deepcopy(prototype)) for _ in range(num_envs)]
+        for state in self._worlds:
+            state.defender.configure(fusion=getattr(self.detector, "fusion", self.settings.fusion))
         self._everyone = frozenset(range(self.settings.n_maps))
         self._situation: Situation | None = None
 

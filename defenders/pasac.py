@@ -60,6 +60,9 @@ class Pasac(Defender):
             else open_thresholds("paper", epsilon)
         )
 
+    def configure(self, *, fusion: str) -> None:
+        self.epsilon = self.epsilon.of(fusion)
+
     def reset(self, n_vehicles: int, rng: np.random.Generator) -> None:
         self.n_vehicles, self.rng = n_vehicles, rng
         self.accused: Group = frozenset()

@@ -72,7 +72,8 @@ class Prbi(Defender):
         window      w, how many values of m the t-test looks at
         alpha       α, its confidence level
         gamma, lam  γ and λ, weights of the last posterior and of the normal ratio in the prior, Eq. (12)
-        threshold   "paper": ε for every group; "calibrated": one per group size, shipped; or a mapping from size to ε
+        threshold   "paper": ε for every group; "calibrated": one per group size, shipped for each fusion (see
+                    `configure`); or a mapping from size to ε
         rounding    "floor", "nearest" or "ceiling", of m when vehicles are grouped and accused: see Theorem 2
         stopping    "paper": both conditions of convergence; "robust": proof; "never": go on verifying, to watch m
         rearm       whether the output is compared with the one before after convergence, too. If it is abnormal, the
@@ -86,6 +87,9 @@ class Prbi(Defender):
         self.epsilon = open_thresholds(threshold, epsilon)
         self.rounding, self.stopping, self.rearm = rounding, stopping, rearm
         self.reading = reading or Reading()
+
+    def configure(self, *, fusion: str) -> None:
+        self.epsilon = self.epsilon.of(fusion)
 
     def reset(self, n_vehicles: int, rng: np.random.Generator) -> None:
         """ValueError below the two vehicles of Sec. 3.2."""

@@ -87,6 +87,14 @@ class Defender(ABC):
     max_queries: int = 64
     """Queries a frame after which the referee fails the episode."""
 
+    def configure(self, *, fusion: str) -> None:
+        """How the ego fuses what it receives ("mean", "max", …), told by the referee before the first `reset`.
+
+        It is the ego's own device, so whoever defends the ego knows it; similarities depend on it, and what is
+        calibrated on them may. By default of no consequence.
+        """
+        del fusion
+
     @abstractmethod
     def reset(self, n_vehicles: int, rng: np.random.Generator) -> None:
         """Forget everything; a new episode with `n_vehicles` maps begins. All randomness must come from `rng`."""

@@ -74,6 +74,9 @@ class Robosac(Defender):
         self.confidence, self.trust_ego = confidence, trust_ego
         self._ego: Group = frozenset({0}) if trust_ego else frozenset()
 
+    def configure(self, *, fusion: str) -> None:
+        self.epsilon = self.epsilon.of(fusion)
+
     def reset(self, n_vehicles: int, rng: np.random.Generator) -> None:
         """ValueError if more lie than can, or if the budget finds not even one honest vehicle with confidence."""
         if self.n_attackers is not None and self.n_attackers >= n_vehicles:

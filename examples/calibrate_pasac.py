@@ -1,7 +1,8 @@
 """What should pass against the ego's own view? Thresholds of ROBOSAC's and PASAC's scores, by size of the group.
 
-    python examples/calibrate_pasac.py                        # measure, print, draw
-    python examples/calibrate_pasac.py --write defenders      # and store what "calibrated" means for both defenders
+    python examples/calibrate_pasac.py                                             # measure, print, draw
+    python examples/calibrate_pasac.py --frames 4 --write defenders                # and store what "calibrated" means
+    python examples/calibrate_pasac.py --frames 3 --write defenders --fusion max   # for both defenders, and so on
 
 ROBOSAC and PASAC hold the view of the ego and some others against what the ego sees alone, by the Jaccard similarity of
 boxes (0.3 as published) or by the consistency of score maps (CCLoss, 0.08, made for segmentation). Here both are
@@ -14,7 +15,6 @@ other than the ego, which PASAC looks at with trust_ego=False only.
 from __future__ import annotations
 
 import itertools
-import json
 import shlex
 import sys
 from collections import defaultdict
@@ -36,6 +36,7 @@ from cp_env.intervals import t_interval
 from cp_env.scenes import open_source
 from cp_env.world import World
 from defenders.protocol import Defender, Frame, Inspection, Query, Verdict
+from defenders.thresholds import EGO_ONLY, write_thresholds
 
 Key = tuple[int, int]  # size of the group, liars in it
 Found = dict[Key, dict[str, list[float]]]  # scores by scene
@@ -45,6 +46,7 @@ PAPER = {"agreement": 0.08, "similarity": 0.3}
 @dataclass
 class Args:
     scenes: str = "town/calibration"
+    fusion: str = "mean"  # or max, sum, v2vnet, disconet
     n_scenes: int | None = None  # the first so many (all by default)
     n_vehicles: int = 5
     frames: int = 6  # of every scene
@@ -52,7 +54,7 @@ class Args:
     seed: int = 0
     threads: int = 1
     out: Path = Path("out/pasac")
-    write: Path | None = None  # folder for ego_agreement.json and ego_similarity.json
+    write: Path | None = None  # folder of ego_agreement.json and ego_similarity.json, for the fusion's entries
 
 
 class Surveyor(Defender):
@@ -77,10 +79,10 @@ class Surveyor(Defender):
 
 def survey(args: Args) -> dict[str, Found]:
     """Both scores by (size, liars) and scene."""
-    bank = SceneBank(open_source(args.scenes), load_detector())
+    bank = SceneBank(open_source(args.scenes), load_detector(args.fusion))
     found: dict[str, Found] = {score: defaultdict(lambda: defaultdict(list)) for score in PAPER}
     jobs = list(itertools.product(bank.source.names()[: args.n_scenes], range(args.n_vehicles)))
-    for number, (name, k) in enumerate(track(jobs, "surveying")):
+    for number, (name, k) in enumerate(track(jobs, f"surveying {args.fusion}")):
         rng = np.random.default_rng([args.seed, number])
         liars = tuple(sorted((1 + rng.permutation(args.n_vehicles - 1)[:k]).tolist()))
         world = World(1, defender=Surveyor(), bank=bank, n_vehicles=args.n_vehicles, attackers=liars, grace_frames=0)
@@ -118,7 +120,7 @@ def threshold(found: Found, size: int) -> float:
 
 def table(score: str, found: Found, epsilon: dict[int, float], args: Args) -> Table:
     liars = range(args.n_vehicles)
-    title = f"{score} with the ego alone; errors: honest groups that fail / groups with a liar that pass"
+    title = f"{args.fusion}: {score} with the ego alone; errors: honest groups that fail / groups with a liar that pass"
     shown = Table("group", *(f"{k} liars" for k in liars), "ε", "errors at ε", f"errors at {PAPER[score]}", title=title)
     for size in sorted(epsilon):
         means = {k: [np.mean(x) for x in found[size, k].values()] for k in liars if (size, k) in found}
@@ -148,7 +150,7 @@ def draw(found: dict[str, Found], epsilon: dict[str, dict[int, float]], args: Ar
     handles, labels = grid[-1, -1].get_legend_handles_labels()  # the panel that has every number of liars
     figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), fontsize=9)
     args.out.mkdir(parents=True, exist_ok=True)
-    path = args.out / "ego_only.png"
+    path = args.out / f"ego_only-{args.fusion}.png"
     figure.savefig(path, dpi=110)
     return path
 
@@ -161,11 +163,11 @@ def main(args: Args) -> None:
     console = Console(width=170)
     console.print(*(table(score, found[score], epsilon[score], args) for score in PAPER), sep="\n")
     console.print("drawn:", str(draw(found, epsilon, args)))
-    source = f"{args.scenes}, detector {load_detector().digest}, {args.attack}, {args.frames} frames a scene"
+    source = f"{args.scenes}, detector {load_detector(args.fusion).digest}, {args.attack}, {args.frames} frames a scene"
     command = shlex.join(["python", *sys.argv])
-    for score in PAPER if args.write else ():
-        text = json.dumps({"source": source, "command": command, "epsilon": epsilon[score]}, indent=1)
-        (args.write / f"ego_{score}.json").write_text(text + "\n", encoding="utf-8")  # type: ignore[operator]
+    for score in PAPER if args.write is not None else ():
+        path = args.write / EGO_ONLY[score].name  # type: ignore[operator]
+        write_thresholds(path, args.fusion, epsilon[score], source=source, command=command)
 
 
 if __name__ == "__main__":

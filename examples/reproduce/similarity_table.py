@@ -1,7 +1,8 @@
 """How alike is a group's view to the frame before, by the size of the group and the number of liars in it?
 
-    python examples/reproduce/similarity_table.py                                  # measure, print, draw
-    python examples/reproduce/similarity_table.py --write defenders/thresholds.json  # and calibrate PRBI's thresholds
+    python examples/reproduce/similarity_table.py                                             # measure, print, draw
+    python examples/reproduce/similarity_table.py --frames 6 --write defenders/thresholds.json  # and calibrate PRBI's ε
+    python examples/reproduce/similarity_table.py --frames 4 --write defenders/thresholds.json --fusion max  # and so on
 
 PRBI (Sec. 11.1) judges every group by one threshold, 0.35. Here the similarity, Eq. (5), of every group of five
 vehicles to the honest view of the frame before is measured on the calibration scenes, PGD lying jointly in k = 0 … 4
@@ -34,6 +35,7 @@ from cp_env.intervals import Interval, t_interval
 from cp_env.scenes import open_source
 from cp_env.world import World
 from defenders.protocol import Defender, Frame, Inspection, Query, Verdict
+from defenders.thresholds import write_thresholds
 
 Key = tuple[int, int]  # group size, liars in it
 
@@ -41,13 +43,14 @@ Key = tuple[int, int]  # group size, liars in it
 @dataclass
 class Args:
     scenes: str = "town/calibration"
+    fusion: str = "mean"  # or max, sum, v2vnet, disconet
     n_vehicles: int = 5
     frames: int = 11  # of every scene; the first is the reference of the second
     attack: str = "pgd"
     seed: int = 0
     threads: int = 1
     out: Path = Path("out/similarity")
-    write: Path | None = None  # thresholds go here
+    write: Path | None = None  # thresholds go here, as the fusion's entry
 
 
 class Surveyor(Defender):
@@ -77,10 +80,10 @@ class Surveyor(Defender):
 
 def survey(args: Args) -> dict[Key, dict[str, list[float]]]:
     """Similarities by (size, liars) and scene."""
-    bank = SceneBank(open_source(args.scenes), load_detector())
+    bank = SceneBank(open_source(args.scenes), load_detector(args.fusion))
     found: dict[Key, dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))
     jobs = list(itertools.product(bank.source.names(), range(args.n_vehicles)))
-    for number, (name, k) in enumerate(track(jobs, "surveying")):
+    for number, (name, k) in enumerate(track(jobs, f"surveying {args.fusion}")):
         world = World(1, defender=Surveyor(), bank=bank, n_vehicles=args.n_vehicles, n_attackers=k, grace_frames=0)
         world.reset([np.random.SeedSequence([args.seed, number])], options={"scene": name})
         attacker = agents.make(args.attack if k else "none")
@@ -111,7 +114,10 @@ def threshold(found: dict[Key, dict[str, list[float]]], size: int) -> float:
 def report(found: dict[Key, dict[str, list[float]]], epsilon: dict[int, float], args: Args) -> None:
     sizes = range(1, args.n_vehicles + 1)
     table = Table(
-        "group size", *(f"{k} liars" for k in range(args.n_vehicles)), "ε", title="similarity to the frame before"
+        "group size",
+        *(f"{k} liars" for k in range(args.n_vehicles)),
+        "ε",
+        title=f"{args.fusion}: similarity to the frame before",
     )
     shares = Table(
         "group size", *(f"{k} liars" for k in range(args.n_vehicles)), title="share that passes at 0.35 / at ε"
@@ -134,7 +140,8 @@ def report(found: dict[Key, dict[str, list[float]]], epsilon: dict[int, float], 
     console = Console(width=150)
     console.print(table, shares, sep="\n")
     args.out.mkdir(parents=True, exist_ok=True)
-    (args.out / "similarity.json").write_text(json.dumps({"rows": rows, "epsilon": epsilon}, indent=1) + "\n")
+    path = args.out / f"{args.fusion}.json"
+    path.write_text(json.dumps({"rows": rows, "epsilon": epsilon}, indent=1) + "\n")
     console.print("drawn:", draw(found, epsilon, args))
 
 
@@ -161,7 +168,7 @@ def draw(found: dict[Key, dict[str, list[float]]], epsilon: dict[int, float], ar
         axis.set(title=f"groups of {size}", xlabel="Jaccard similarity")
     axes[0].set_ylabel("density")
     axes[-1].legend(fontsize=8)
-    path = args.out / "similarity.png"
+    path = args.out / f"{args.fusion}.png"
     figure.savefig(path, dpi=110)
     return path
 
@@ -172,9 +179,10 @@ def main(args: Args) -> None:
     epsilon = {size: threshold(found, size) for size in range(1, args.n_vehicles + 1)}
     report(found, epsilon, args)
     if args.write:
-        source = f"{args.scenes}, detector {load_detector().digest}, {args.attack}, {args.frames} frames a scene"
-        command = shlex.join(["python", *sys.argv])
-        args.write.write_text(json.dumps({"source": source, "command": command, "epsilon": epsilon}, indent=1) + "\n")
+        source = (
+            f"{args.scenes}, detector {load_detector(args.fusion).digest}, {args.attack}, {args.frames} frames a scene"
+        )
+        write_thresholds(args.write, args.fusion, epsilon, source=source, command=shlex.join(["python", *sys.argv]))
 
 
 if __name__ == "__main__":

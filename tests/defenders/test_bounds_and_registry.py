@@ -11,7 +11,7 @@ import pytest
 import defenders
 from defenders import EgoOnly, NoDefence, Oracle, Prbi
 from defenders.perfect import PerfectWorld, play
-from defenders.thresholds import Thresholds, open_thresholds, read_thresholds
+from defenders.thresholds import Thresholds, open_thresholds, read_thresholds, write_thresholds
 
 
 def test_none_fuses_everyone_and_pays_nothing() -> None:
@@ -86,11 +86,29 @@ def test_impossible_thresholds_are_refused(table: dict[int, float]) -> None:
         Thresholds(table)
 
 
+def test_thresholds_of_the_fusion() -> None:
+    """Another fusion's take the default's place; one without an entry keeps the default, whatever was asked before."""
+    thresholds = Thresholds({1: 0.2}, {"max": {1: 0.4}, "sum": {1: 0.6}})
+    pair = frozenset({0, 1})
+    assert [thresholds.of(name)(pair) for name in ("mean", "max", "sum", "yours")] == [0.2, 0.4, 0.6, 0.2]
+    assert thresholds.of("max").of("yours")(pair) == thresholds(pair) == 0.2
+    with pytest.raises(ValueError, match="threshold"):
+        Thresholds({1: 0.2}, {"max": {2: 0.4}})
+
+
 def test_thresholds_file(tmp_path: Path) -> None:
     path = tmp_path / "thresholds.json"
-    path.write_text(json.dumps({"source": "here", "command": "this", "epsilon": {"1": 0.3, "2": 0.4}}))
-    assert read_thresholds(path).epsilon == {1: 0.3, 2: 0.4}
-    for broken in ("", "[]", "{}", '{"epsilon": {"one": 0.3}}', '{"epsilon": {"2": 0.3}}', '{"epsilon": 3}'):
+    write_thresholds(path, "mean", {1: 0.3, 2: 0.4}, source="here", command="this")
+    first = path.read_text()
+    write_thresholds(path, "max", {1: 0.1, 2: 0.2}, source="there", command="that")
+    thresholds = read_thresholds(path)
+    assert thresholds.epsilon == {1: 0.3, 2: 0.4} and thresholds.of("max").epsilon == {1: 0.1, 2: 0.2}
+    assert json.loads(path.read_text())["mean"] == json.loads(first)["mean"]
+    path.write_text(first.replace("mean", "max"))
+    with pytest.raises(ValueError, match=r"thresholds\.json: KeyError\('mean'\)"):
+        read_thresholds(path)
+    broken_entries = ('{"epsilon": {"one": 0.3}}', '{"epsilon": {"2": 0.3}}', '{"epsilon": 3}')
+    for broken in ("", "[]", "{}", *(f'{{"mean": {entry}}}' for entry in broken_entries)):
         path.write_text(broken)
         with pytest.raises(ValueError, match=str(path.name)):
             read_thresholds(path)

@@ -13,6 +13,7 @@ from cp_env.bank import SceneBank
 from cp_env.detector import Detector
 from cp_env.world import Outcome, World
 from defenders.protocol import Defender, Frame, Inspection, Query, Verdict
+from examples.bring_your_own_detector import Toy
 from tests.reference.one_world import boxes_of, look
 
 
@@ -219,3 +220,26 @@ def test_the_time_limit_truncates_exactly(bank: SceneBank) -> None:
 def test_stepping_before_reset_is_a_clear_error(bank: SceneBank) -> None:
     with pytest.raises(RuntimeError, match=r"reset\(\)"):
         make(bank).situation()
+
+
+def test_defenders_are_told_how_the_ego_fuses(bank: SceneBank) -> None:
+    """By the detector, or by the settings where it does not say; before the first reset, every world's own."""
+
+    class Listener(Curious):
+        told: tuple[str, ...] = ()
+
+        def configure(self, *, fusion: str) -> None:
+            self.told += (fusion,)
+
+    class Mute(SceneBank):
+        """A bank whose detector has no fusion of that name."""
+
+        def __init__(self) -> None:
+            self.__dict__.update(bank.__dict__)
+            self.detector = Toy().freeze()
+
+    prototype = Listener()
+    for own, fusion, expected in ((bank, "max", "mean"), (Mute(), "max", "max")):
+        world = make(own, 2, defender=prototype, fusion=fusion)
+        assert [defender.told for defender in world.defenders] == [(expected,)] * 2  # type: ignore[attr-defined]
+    assert prototype.told == ()
