@@ -12,7 +12,7 @@ An attacker comes from outside: this package knows what it does (`reset`, `act`)
 from __future__ import annotations
 
 from cp_env.evaluation.cells import Cell, Protocol, parse, plan
-from cp_env.evaluation.figures import Row, summarise
+from cp_env.evaluation.figures import Row, mean_ap, summarise
 from cp_env.evaluation.report import about, markdown, screen, write_report
 from cp_env.evaluation.runner import Crew, open_bank, prepare, run
 from cp_env.evaluation.stage import Attacker, Learned, Stage, play
@@ -30,6 +30,7 @@ __all__ = [
     "Store",
     "about",
     "markdown",
+    "mean_ap",
     "open_bank",
     "parse",
     "plan",
