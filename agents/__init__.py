@@ -83,7 +83,8 @@ def names() -> tuple[str, ...]:
 def make(attacker: str | Attacker, **knobs: Any) -> Attacker:
     """The attacker of that name, with its knobs; an attacker object is handed back as it is.
 
-    A name is one of `names()`, or says where to import a class or function of yours: "package.module.Class".
+    A name is one of `names()`, or says where to import a class or function of yours: "module:Class", or
+    "package.module.Class".
 
     Raises ValueError for an unknown name, for knobs the attacker has not, and for knobs beside an object.
     """
@@ -101,10 +102,10 @@ def make(attacker: str | Attacker, **knobs: Any) -> Attacker:
 def _named(name: str) -> Callable[..., Attacker]:
     if name in _ATTACKERS:
         return _ATTACKERS[name]
-    module, _, attribute = name.rpartition(".")
+    module, _, attribute = name.replace(":", ".").rpartition(".")
     if not module:
         known = ", ".join(_ATTACKERS)
-        raise ValueError(f"unknown attacker {name!r}; known: {known}; or package.module.Class of yours")
+        raise ValueError(f"unknown attacker {name!r}; known: {known}; or module:Class of yours")
     try:
         factory: Callable[..., Attacker] = getattr(import_module(module), attribute)
     except (ImportError, AttributeError) as error:

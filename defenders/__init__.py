@@ -58,7 +58,8 @@ def names() -> tuple[str, ...]:
 def make(defender: str | Defender | Callable[..., Defender], **knobs: Any) -> Defender:
     """A defender from its name or from a class or function that builds one, with its knobs; or the object itself.
 
-    A name is one of `names()`, or says where to import a class or function of yours: "package.module.Class".
+    A name is one of `names()`, or says where to import a class or function of yours: "module:Class", or
+    "package.module.Class".
 
     Raises ValueError for an unknown name, for knobs the defender has not, and for knobs beside a finished object.
     """
@@ -81,9 +82,9 @@ def make(defender: str | Defender | Callable[..., Defender], **knobs: Any) -> De
 def _named(name: str) -> Callable[..., Defender]:
     if name in REGISTRY:
         return REGISTRY[name]
-    module, _, attribute = name.rpartition(".")
+    module, _, attribute = name.replace(":", ".").rpartition(".")
     if not module:
-        raise ValueError(f"unknown defender {name!r}; known are {', '.join(names())}, or package.module.Class of yours")
+        raise ValueError(f"unknown defender {name!r}; known are {', '.join(names())}, or module:Class of yours")
     try:
         factory: Callable[..., Defender] = getattr(import_module(module), attribute)
     except (ImportError, AttributeError) as error:

@@ -4,33 +4,28 @@
     python examples/benchmark.py --ks 1 2 3 4 --seeds 0 1 2 --workers 2 --out out/benchmark
 
 Defenders and attackers are names, with knobs if need be: `prbi:threshold=calibrated`, `pgd:steps=30`; a learned
-attacker is `policy:name=prbi`, or a file of yours; a defender of yours is `package.module.Class`. The same command goes
-on where a killed run stopped.
+attacker is `policy:name=prbi-0`, or a file of yours; a class of yours is `module:Class`. The same command goes on where
+a killed run stopped. For more axes, worst cases and a page that shows them: `cp-arena`.
 """
 
 from __future__ import annotations
 
 import shlex
 import sys
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar
 
 import torch
 import tyro
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-import agents
-from agents.policy import load_policy
+from agents.arena import Bars, make_attacker, spread
+from agents.arena.progress import duel
 from cp_env import evaluation
 from cp_env.evaluation.film import film
 from cp_env.evaluation.report import GLOSSARY
 from cp_env.rendering import Image3, write_gif
 from cp_env.scenes import open_source
-
-T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -66,7 +61,7 @@ def main(args: Args) -> None:
     torch.set_num_threads(args.threads)
     protocol = evaluation.Protocol(
         args.scenes,
-        chosen(args),
+        spread(open_source(args.scenes).names(), args.n_scenes),
         args.frames,
         args.vehicles,
         args.budget,
@@ -82,21 +77,11 @@ def main(args: Args) -> None:
         seeds=args.seeds,
         batch=args.batch,
     )
-    crew = evaluation.Crew(make_attacker=attacker, workers=args.workers, threads=args.threads)
+    crew = evaluation.Crew(make_attacker=make_attacker, workers=args.workers, threads=args.threads)
     store = evaluation.Store(args.out, evaluation.open_bank(protocol).detector.digest)
-    with Progress(
-        TextColumn("{task.description:<10}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-        TextColumn("{task.fields[last]}"),
-        console=console,
-    ) as progress:
-        for name in counted(progress, "encoding", evaluation.prepare(cells, protocol, crew), len(protocol.names)):
-            progress.update(progress.task_ids[-1], last=name)
-        for cell in counted(progress, "playing", evaluation.run(cells, protocol, store, crew), len(cells)):
-            progress.update(progress.task_ids[-1], last=f"{cell.defender} against {cell.attack}, k = {cell.k}")
+    with Bars(console) as bars:
+        bars.count("encoding", evaluation.prepare(cells, protocol, crew), len(protocol.names))
+        bars.count("playing", evaluation.run(cells, protocol, store, crew), len(cells), duel)
     rows = evaluation.summarise(store.load(cells, protocol))
     command = shlex.join(["python", *sys.argv])
     paths = evaluation.write_report(
@@ -113,34 +98,12 @@ def main(args: Args) -> None:
         console.print("filmed: ", write_gif(filmed(args, protocol), args.out / "episode.gif"))
 
 
-def attacker(name: str, **knobs: Any) -> evaluation.Attacker | evaluation.Learned:
-    """A scripted attacker by its name, or a learned one as `policy:name=…`."""
-    return load_policy(**knobs) if name == "policy" else agents.make(name, **knobs)
-
-
-def chosen(args: Args) -> tuple[str, ...]:
-    """The scenes to play: all, or `n_scenes` spread evenly over the source's list."""
-    names = open_source(args.scenes).names()
-    wanted = len(names) if args.n_scenes is None else args.n_scenes
-    if not 1 <= wanted <= len(names):
-        raise ValueError(f"n_scenes must be 1 to {len(names)}, not {wanted}")
-    return tuple(names[i * len(names) // wanted] for i in range(wanted))
-
-
-def counted(progress: Progress, what: str, steps: Iterator[T], total: int) -> Iterator[T]:
-    """Draw a bar while `steps` are taken."""
-    task = progress.add_task(what, total=total, last="")
-    for step in steps:
-        progress.advance(task)
-        yield step
-
-
 def filmed(args: Args, protocol: evaluation.Protocol) -> list[Image3]:
     """One episode of PRBI (if it plays) against the last attack."""
     defender = next((name for name in args.defenders if name.startswith("prbi")), args.defenders[-1])
     k = min(max(args.ks), 2)
     cell = evaluation.Cell(defender, args.attackers[-1], k, args.seeds[0], protocol.names[:1])
-    return film(cell, protocol, evaluation.open_bank(protocol), attacker)
+    return film(cell, protocol, evaluation.open_bank(protocol), make_attacker)
 
 
 if __name__ == "__main__":

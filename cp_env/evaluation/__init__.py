@@ -12,9 +12,10 @@ An attacker comes from outside: this package knows what it does (`reset`, `act`)
 from __future__ import annotations
 
 from cp_env.evaluation.cells import Cell, Protocol, parse, plan
-from cp_env.evaluation.figures import Row, mean_ap, summarise
+from cp_env.evaluation.crew import Crew, open_bank
+from cp_env.evaluation.figures import Row, summarise
 from cp_env.evaluation.report import about, markdown, screen, write_report
-from cp_env.evaluation.runner import Crew, open_bank, prepare, run
+from cp_env.evaluation.runner import FailedCells, prepare, run, run_all
 from cp_env.evaluation.stage import Attacker, Learned, Stage, play
 from cp_env.evaluation.store import Record, Store
 
@@ -22,6 +23,7 @@ __all__ = [
     "Attacker",
     "Cell",
     "Crew",
+    "FailedCells",
     "Learned",
     "Protocol",
     "Record",
@@ -30,13 +32,13 @@ __all__ = [
     "Store",
     "about",
     "markdown",
-    "mean_ap",
     "open_bank",
     "parse",
     "plan",
     "play",
     "prepare",
     "run",
+    "run_all",
     "screen",
     "summarise",
     "write_report",

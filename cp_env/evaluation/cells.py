@@ -6,7 +6,10 @@ import ast
 import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
+from functools import lru_cache
+from importlib.util import find_spec
 from itertools import product
+from pathlib import Path
 from typing import Any
 
 from cp_env.metrics import rules
@@ -73,11 +76,19 @@ class Cell:
     seed: int
     names: tuple[str, ...]  # of the scenes
 
+    def __str__(self) -> str:
+        names = ", ".join(self.names)
+        return f"{self.defender} against {self.attack}, k = {self.k}, seed {self.seed}, on {names}"
+
     def slug(self, protocol: Protocol, detector: str = "") -> str:
-        """A file name: readable, and distinct for any other cell, protocol, scene source or detector digest."""
+        """A file name: readable, and distinct for any other cell, protocol, scene source or detector digest.
+
+        An outsider's cell is another one, too, when the file that holds its class was changed.
+        """
         conditions = {**protocol.describe(), "names": None, "digest": open_source(protocol.scenes).digest}
-        identity = zlib.crc32(repr((self, detector, sorted(conditions.items()))).encode())
-        words = f"{self.defender}-{self.attack}".translate({ord(c): "_" for c in ":=,/\\ ."})
+        outsiders = [code for spec in (self.defender, self.attack) if (code := code_of(spec)) is not None]
+        identity = zlib.crc32(repr((self, detector, sorted(conditions.items()), *outsiders)).encode())
+        words = file_words(f"{self.defender}-{self.attack}")
         return f"{words}-k{self.k}-s{self.seed}-{self.names[0]}-{identity:08x}"
 
 
@@ -114,18 +125,49 @@ def plan(
 
 
 def parse(spec: str) -> tuple[str, dict[str, Any]]:
-    """Name and knobs: `"prbi:threshold=calibrated,window=5"` is "prbi", {"threshold": "calibrated", "window": 5}."""
+    """Name and knobs: `"prbi:threshold=calibrated,window=5"` is "prbi", {"threshold": "calibrated", "window": 5}.
+
+    The name may be where an outsider's class is: `"module:Class:knob=value"` is "module:Class", {"knob": "value"}.
+    """
     name, _, rest = spec.partition(":")
+    attribute, _, behind = rest.partition(":")
+    if attribute.isidentifier():
+        name, rest = f"{name}:{attribute}", behind
     knobs: dict[str, Any] = {}
     for part in filter(None, rest.split(",")):
         key, equals, value = part.partition("=")
         if not (name and equals and key.isidentifier()):
-            raise ValueError(f"cannot read {spec!r}: write a name, or name:knob=value,knob=value")
+            raise ValueError(
+                f"cannot read {spec!r}: write name, module:Class, or either with knobs: name:knob=value,knob=value"
+            )
         try:
             knobs[key] = ast.literal_eval(value)
         except (ValueError, SyntaxError):
             knobs[key] = value
     return name, knobs
+
+
+def outsider(name: str) -> tuple[str, str] | None:
+    """Module and attribute, if the name says where a class is ("module:Class", "package.module.Class")."""
+    module, _, attribute = name.replace(":", ".").rpartition(".")
+    return (module, attribute) if module else None
+
+
+@lru_cache
+def code_of(spec: str) -> int | None:
+    """Checksum of the file that holds an outsider's class; None for those that are known by name, or have no file."""
+    place = outsider(parse(spec)[0])
+    try:
+        found = find_spec(place[0]) if place else None
+    except (ImportError, ValueError):
+        return None
+    file = Path(found.origin) if found and found.has_location and found.origin else None
+    return zlib.crc32(file.read_bytes()) if file and file.is_file() else None
+
+
+def file_words(words: str) -> str:
+    """Fit for the name of a file."""
+    return "".join(c if c.isalnum() or c in "-_[]()+" else "_" for c in words)[:120]
 
 
 def _chunks(names: tuple[str, ...], size: int) -> Iterator[tuple[str, ...]]:

@@ -1,15 +1,24 @@
-"""An episode as pictures."""
+"""An episode as pictures, and which episodes are worth one."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+import tempfile
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 from cp_env.bank import SceneBank
 from cp_env.camera import Camera
-from cp_env.evaluation.cells import Cell, Protocol, parse
-from cp_env.evaluation.runner import MakeAttacker
+from cp_env.evaluation.boards import Board, Played
+from cp_env.evaluation.cells import NOBODY, Cell, Protocol, parse
+from cp_env.evaluation.crew import Crew, MakeAttacker
+from cp_env.evaluation.processes import Failure
+from cp_env.evaluation.ranking import damage_a_frame
 from cp_env.evaluation.stage import Stage
-from cp_env.rendering import Image3
+from cp_env.evaluation.store import write_atomically
+from cp_env.rendering import RIGHT, TOP, Image3, write_gif
+
+FPS = 2.5
 
 
 def film(
@@ -25,3 +34,46 @@ def film(
         pictures.append(camera.shoot())
         if outcome.truncated[0] or len(pictures) == frames:
             return pictures
+
+
+@dataclass(frozen=True)
+class Worst:
+    """The episode in which a defender's ego lost the most, and the film of it."""
+
+    cell: Cell  # of one scene
+    damage: float  # a frame
+    gif: Path
+
+
+def worst_episodes(board: Board, played: Played, folder: Path) -> dict[str, Worst]:
+    """By defender, over all attacks, scenes and seeds; where its film is or will be, in `folder`."""
+    worst: dict[str, Worst] = {}
+    for cell, records in played.items():
+        if cell.attack == NOBODY or not cell.k:
+            continue
+        for record in records:
+            damage = damage_a_frame(record, board.protocol.frames)
+            if cell.defender not in worst or damage > worst[cell.defender].damage:
+                alone = replace(cell, names=(record.scene,))
+                gif = folder / f"{alone.slug(board.protocol, board.store.detector)}.gif"
+                worst[cell.defender] = Worst(alone, damage, gif)
+    return worst
+
+
+def shoot(worst: Mapping[str, Worst], protocol: Protocol, crew: Crew) -> Iterator[str]:
+    """Film those episodes that are not filmed yet: every other frame, the defended half of the picture. Hands out the
+    defender's name when its film is there; one that cannot be filmed is left out."""
+    todo = {name: one for name, one in worst.items() if not one.gif.is_file()}
+    yield from (name for name in worst if name not in todo)
+    names = list(todo)
+    for number, film_of in crew.each(_shoot, [(todo[name].cell, protocol, crew) for name in names]):
+        if not isinstance(film_of, Failure):
+            write_atomically(todo[names[number]].gif, film_of)
+            yield names[number]
+
+
+def _shoot(cell: Cell, protocol: Protocol, crew: Crew) -> bytes:
+    pictures = film(cell, protocol, crew.open_bank(protocol), crew.make_attacker)
+    with tempfile.TemporaryDirectory() as folder:
+        halves = [picture[TOP - 30 :, RIGHT - 8 :] for picture in pictures[::2]]
+        return write_gif(halves, Path(folder) / "film.gif", fps=FPS).read_bytes()

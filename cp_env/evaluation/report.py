@@ -58,7 +58,7 @@ Frames of grace, in which no perturbation acts, count for AP, damage and fps onl
 """
 
 
-def entry(row: Row, figure: str, spec: str, *, interval: bool) -> str:
+def figure_text(row: Row, figure: str, spec: str, *, interval: bool) -> str:
     """One figure as text: "0.812 [0.790, 0.833]" or "0.812", and "–" where it means nothing."""
     value = getattr(row, figure)
     if value is None:
@@ -74,7 +74,7 @@ def markdown(rows: Sequence[Row], *, short: bool = False) -> str:
     heads = ["defender", "attack", "k", *(column[0] for column in columns)]
     lines = ["| " + " | ".join(heads) + " |", "|---|---|" + "--:|" * (len(heads) - 2)]
     for row in rows:
-        figures = (entry(row, figure, spec, interval=not short) for _, figure, spec, _ in columns)
+        figures = (figure_text(row, figure, spec, interval=not short) for _, figure, spec, _ in columns)
         lines.append("| " + " | ".join([_name(row), row.attack, str(row.k), *figures]) + " |")
     return "\n".join(lines) + "\n"
 
@@ -90,7 +90,7 @@ def screen(rows: Sequence[Row]) -> Table:
         made.add_row()
         made.add_row(f"[bold]{game}[/bold]")
         for row in same:
-            made.add_row(_name(row), *(entry(row, figure, spec, interval=False) for _, figure, spec, _ in SHORT))
+            made.add_row(_name(row), *(figure_text(row, figure, spec, interval=False) for _, figure, spec, _ in SHORT))
     return made
 
 

@@ -105,7 +105,7 @@ class Stage:
 
 
 def open_defender(spec: str) -> Defender:
-    """The defender a spec names: one of `defenders.names()`, or a class of yours as `package.module.Class`.
+    """The defender a spec names: one of `defenders.names()`, or a class of yours as `module:Class`.
 
     Raises ValueError for an unknown name, a class that cannot be imported, and knobs it has not.
     """

@@ -7,7 +7,7 @@ import json
 import os
 import zlib
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -101,11 +101,10 @@ class Store:
         return self.root / "cells" / f"{cell.slug(protocol, self.detector)}.json"
 
     def write(self, cell: Cell, protocol: Protocol, records: Iterable[Record]) -> None:
-        """Atomic: a reader, or the next run, sees the whole cell or none of it."""
-        names = {"defender": cell.defender, "attack": cell.attack, "k": cell.k, "seed": cell.seed}
-        write_atomically(
-            self.path(cell, protocol), json.dumps({**names, "records": [r.to_json() for r in records]}) + "\n"
-        )
+        """Atomic: a reader, or the next run, sees the whole cell or none. The file says what was played, and how."""
+        conditions = {"conditions": protocol.describe(), "detector": self.detector}
+        data = {**asdict(cell), **conditions, "records": [record.to_json() for record in records]}
+        write_atomically(self.path(cell, protocol), json.dumps(data) + "\n")
 
     def read(self, cell: Cell, protocol: Protocol) -> tuple[Record, ...] | None:
         """The cell's episodes; None if it was not finished (a file that cannot be read counts as not finished)."""
@@ -121,11 +120,11 @@ class Store:
         return {cell: records for cell, records in found if records is not None}
 
 
-def write_atomically(path: Path, text: str) -> None:
+def write_atomically(path: Path, data: str | bytes) -> None:
     """Write under another name, then rename."""
     path.parent.mkdir(parents=True, exist_ok=True)
     draft = path.with_name(f".{path.name}.{os.getpid()}")
-    draft.write_text(text)
+    draft.write_bytes(data.encode() if isinstance(data, str) else data)
     os.replace(draft, path)
 
 
