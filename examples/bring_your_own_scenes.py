@@ -21,7 +21,7 @@ import tyro
 
 import cp_env
 from cp_env.scenes import open_source, preview
-from cp_env.scenes.hits import count_returns
+from cp_env.scenes.hits import count_returns, standing
 from cp_env.testing import check_scenes
 from cp_env.types import Scene, Sweep
 
@@ -53,8 +53,7 @@ class Folder:
         points = np.load(self.folder / scene.name / f"{t}-{agent}.npy")
         turn = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
         points = (points @ turn.T + [0, 0, height]).astype(np.float32)  # along the world's axes, z above ground
-        middle = np.column_stack([scene.pose[t, :, :2] - [x, y], scene.size[:, 2] / 2])
-        return Sweep(points, np.array([x, y, height]), count_returns(points, middle, scene.size, scene.pose[t, :, 2]))
+        return Sweep(points, np.array([x, y, height]), count_returns(points, standing(scene, t, np.array([x, y]))))
 
 
 @dataclass

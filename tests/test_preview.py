@@ -11,6 +11,7 @@ from PIL import Image
 
 from cp_env.cli import main
 from cp_env.scenes import preview
+from cp_env.scenes.hits import returns_of
 from cp_env.scenes.opv2v_writer import write
 from cp_env.types import Scene, Sweep
 from tests.toy import ToySource
@@ -64,7 +65,7 @@ def test_who_is_seen_is_counted_by_hand() -> None:
 
 def test_hits_of_the_source_are_taken_before_boxes() -> None:
     known = replace(sweep(0, 0, [[5, 5, 0.0]]), hits=np.array([0, 7, 0]))
-    assert preview.hits_of(SCENE, 0, known).tolist() == [0, 7, 0]
+    assert returns_of(SCENE, 0, known).tolist() == [0, 7, 0]
 
 
 def at(image: np.ndarray, x: float, y: float, extent: float) -> tuple[int, int, int]:

@@ -25,7 +25,6 @@ from cp_env.detector.weights import about
 from cp_env.evaluation.crew import open_bank
 from cp_env.scenes import open_source
 from cp_env.scenes.export import export
-from cp_env.scenes.hits import CLEARANCE, MARGIN, count_returns
 from cp_env.testing import check_scenes
 from cp_env.world import World
 from tests.reference.coperception_files import write_files
@@ -139,22 +138,6 @@ def test_a_source_that_counts_no_returns_can_be_trained_on(tmp_path: Path) -> No
     source = SimpleNamespace(name="silent", digest="silent", names=TOY.names, load=TOY.load, sweeps=silent)
     told, counted = prepare(TOY, tmp_path, limit=1)[0].hits, prepare(source, tmp_path, limit=1)[0].hits
     assert ((told >= 3) == (counted >= 3)).mean() > 0.97
-
-
-def test_returns_in_boxes_against_a_loop() -> None:
-    rng = np.random.default_rng(0)
-    points = np.column_stack([rng.uniform(-30, 30, (3000, 2)), rng.uniform(0, 3, 3000)])
-    centre = np.column_stack([rng.uniform(-50, 50, (60, 2)), rng.uniform(0.5, 1.5, 60)])
-    size, yaw = rng.uniform(1, 12, (60, 3)), rng.uniform(-4, 4, 60)
-    centre[3] = np.nan
-    hits = count_returns(points, centre, size, yaw)
-    for k in range(60):
-        turn = np.array([[np.cos(yaw[k]), -np.sin(yaw[k])], [np.sin(yaw[k]), np.cos(yaw[k])]])
-        own = np.column_stack([(points - centre[k])[:, :2] @ turn, points[:, 2] - centre[k, 2]])
-        inside = (np.abs(own) <= size[k] / 2 + MARGIN).all(axis=1) & (own[:, 2] >= CLEARANCE - size[k, 2] / 2)
-        assert hits[k] == inside.sum()
-    assert hits.sum() > 100 and count_returns(points[:0], centre, size, yaw).tolist() == [0] * 60
-    assert count_returns(points, centre + 1000, size, yaw).sum() == 0
 
 
 def test_export_by_command(tmp_path: Path, spec: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from cp_env.evaluation.cells import Cell, Protocol, parse, plan
 from cp_env.evaluation.crew import Crew, open_bank
-from cp_env.evaluation.figures import Row, summarise
+from cp_env.evaluation.figures import Row, mean_ap, summarise
 from cp_env.evaluation.report import about, markdown, screen, write_report
 from cp_env.evaluation.runner import FailedCells, prepare, run, run_all
 from cp_env.evaluation.stage import Attacker, Learned, Stage, play
@@ -32,6 +32,7 @@ __all__ = [
     "Store",
     "about",
     "markdown",
+    "mean_ap",
     "open_bank",
     "parse",
     "plan",

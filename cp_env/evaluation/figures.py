@@ -65,6 +65,15 @@ def summarise(played: Mapping[Cell, Sequence[Record]], *, resamples: int = 1000)
     return rows
 
 
+def mean_ap(groups: Sequence[Sequence[Record]], iou: float, *, resamples: int = 1000) -> Interval:
+    """AP averaged over groups of episodes that played the same scenes; its interval is bootstrapped over the scenes."""
+    scenes = {tuple(_by_scene(records)) for records in groups}
+    if len(scenes) != 1:
+        raise ValueError(f"an average over groups needs the same scenes in each; got {sorted(scenes)}")
+    parts = [_pooled(list(records), iou) for records in groups]
+    return _bootstrap(lambda rows: float(np.mean([part(rows) for part in parts])), len(*scenes), resamples)
+
+
 def _row(
     defender: str,
     attack: str,

@@ -23,7 +23,7 @@ from tqdm import tqdm
 from cp_env.geometry import compose, invert
 from cp_env.scenes import pcd
 from cp_env.scenes.broken import BrokenData, sift
-from cp_env.scenes.hits import CLEARANCE, MARGIN, count_returns
+from cp_env.scenes.hits import handed_over, standing
 from cp_env.scenes.opv2v_axes import from_carla, mirrored, planar
 from cp_env.scenes.opv2v_files import Listed, Note, Scenario, read_note, scenarios, survey
 from cp_env.types import Scene, Sweep
@@ -297,22 +297,12 @@ def _sweep(reel: Reel, t: int, agent: int) -> Sweep:
     world_T_lidar, place, scene = reel.world_T_lidar[t, agent], reel.place[t, agent], reel.scene
     origin = np.append(place[:2], world_T_lidar[2, 3] - reel.ground[t, agent])
     shift = world_T_lidar[:, 3] - [*place[:2], reel.ground[t, agent]]
+    boxes = standing(scene, t, place[:2])
+    own = int(scene.connected[agent]) if agent < scene.n_connected else None
     turn = mirrored(world_T_lidar[:, :3])  # takes points as the file stores them
-    points = _points(reel.files[t][agent]) @ turn.T.astype(np.float32)
-    points += shift.astype(np.float32)
-    if agent < scene.n_connected:
-        points = points[~_over(points, place[2], scene.size[scene.connected[agent]])]
-    middle = np.column_stack([scene.pose[t, :, :2] - place[:2], scene.size[:, 2] / 2])
-    hits = count_returns(points[points[:, 2] >= CLEARANCE], middle, scene.size, scene.pose[t, :, 2])
+    points, hits = handed_over(_points(reel.files[t][agent]), turn, shift, boxes, own)
     error = reel.believed[t, agent] - place
     if error.any():
         astray = np.array([[np.cos(error[2]), np.sin(error[2])], [-np.sin(error[2]), np.cos(error[2])]])
         points[:, :2] = points[:, :2] @ astray.astype(np.float32) + error[:2].astype(np.float32)
     return Sweep(points, origin, hits)
-
-
-def _over(points: Float32[np.ndarray, "P 3"], yaw: float, size: Float[np.ndarray, " 3"]) -> np.ndarray:
-    """Which points lie within the footprint of the vehicle at the origin."""
-    cos, sin = np.cos(yaw), np.sin(yaw)
-    along, across = cos * points[:, 0] + sin * points[:, 1], cos * points[:, 1] - sin * points[:, 0]
-    return (np.abs(along) <= size[0] / 2 + MARGIN) & (np.abs(across) <= size[1] / 2 + MARGIN)

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Float32
 
+from cp_env.scenes import decimals
 from cp_env.scenes.broken import BrokenData
 
 VERSIONS = ("0.7", ".7")
@@ -67,7 +68,7 @@ def write(path: Path, points: Float[np.ndarray, "P 3"], *, data: str = "binary")
     path.write_bytes(header.encode() + body)
 
 
-def _header(content: bytes) -> tuple[Header, bytes]:
+def _header(content: bytes) -> tuple[Header, memoryview]:
     said: dict[str, list[str]] = {}
     start = 0
     while "DATA" not in said:
@@ -91,7 +92,7 @@ def _header(content: bytes) -> tuple[Header, bytes]:
     ]
     if said["DATA"][0] not in ("ascii", "binary", "binary_compressed"):
         raise ValueError(f"its data are {said['DATA'][0]!r}, known are ascii, binary and binary_compressed")
-    return Header(np.dtype(columns), int(said["POINTS"][0]), said["DATA"][0]), content[start:]
+    return Header(np.dtype(columns), int(said["POINTS"][0]), said["DATA"][0]), memoryview(content)[start:]
 
 
 def _axes(header: Header) -> list[tuple[str, int, int]]:
@@ -104,33 +105,35 @@ def _axes(header: Header) -> list[tuple[str, int, int]]:
     return [axes["x"], axes["y"], axes["z"]]
 
 
-def _text(header: Header, body: bytes) -> Float32[np.ndarray, "P 3"]:
-    values = np.array(body.split(), dtype=np.float64)
+def _text(header: Header, body: memoryview) -> Float32[np.ndarray, "P 3"]:
+    text = decimals.Text(body)
     each = sum(header.row[name].shape[0] for name in header.row.names or ())
-    if len(values) != header.points * each:
-        raise ValueError(f"it is cut short: its header promises {header.points} points, it holds {len(values) // each}")
-    return values.reshape(-1, each)[:, [number for _, number, _ in _axes(header)]].astype(np.float32)
+    if len(text) != header.points * each:
+        raise ValueError(f"it is cut short: its header promises {header.points} points, it holds {len(text) // each}")
+    return np.stack(
+        [text.numbers(slice(number, None, each)).astype(np.float32) for _, number, _ in _axes(header)], axis=1
+    )
 
 
-def _binary(header: Header, body: bytes) -> Float32[np.ndarray, "P 3"]:
+def _binary(header: Header, body: memoryview) -> Float32[np.ndarray, "P 3"]:
     wanted = header.points * header.row.itemsize
     if len(body) < wanted:
         raise ValueError(f"it is cut short: its header promises {wanted} bytes of points, it holds {len(body)}")
     rows = np.frombuffer(body, header.row, header.points)
-    return np.stack([rows[name][:, 0] for name, _, _ in _axes(header)], axis=1).astype(np.float32)
+    return np.stack([rows[name][:, 0] for name, _, _ in _axes(header)], axis=1).astype(np.float32, copy=False)
 
 
-def _compressed(header: Header, body: bytes) -> Float32[np.ndarray, "P 3"]:
+def _compressed(header: Header, body: memoryview) -> Float32[np.ndarray, "P 3"]:
     """All x, then all y, and so on, packed by LZF behind their packed and unpacked sizes."""
     packed, unpacked = struct.unpack_from("<II", body)
     if len(body) < 8 + packed or unpacked < header.points * header.row.itemsize:
         raise ValueError(f"it is cut short: {len(body) - 8} of {packed} packed bytes are there")
-    plain = unpack_lzf(body[8 : 8 + packed], unpacked)
+    plain = unpack_lzf(bytes(body[8 : 8 + packed]), unpacked)
     columns = [
         np.frombuffer(plain, header.row[name], header.points, size * header.points)[:, 0]
         for name, _, size in _axes(header)
     ]
-    return np.stack(columns, axis=1).astype(np.float32)
+    return np.stack(columns, axis=1).astype(np.float32, copy=False)
 
 
 def unpack_lzf(packed: bytes, size: int) -> bytes:

@@ -15,7 +15,7 @@ from jaxtyping import Float, Int, UInt8
 from PIL import Image, ImageDraw, ImageFont
 
 from cp_env.geometry import corners
-from cp_env.scenes.hits import count_returns
+from cp_env.scenes.hits import returns_of
 from cp_env.types import Scene, SceneSource, Sweep
 
 Colour = tuple[int, int, int]
@@ -84,7 +84,7 @@ def figures(source: SceneSource, name: str, frames: Sequence[int]) -> Figures:
         points=np.array([[len(sweep.points) for sweep in sweeps] for sweeps in films]),
         reach=np.array([[_reach(sweep) for sweep in sweeps] for sweeps in films]),
         hits=np.array(
-            [[hits_of(scene, t, sweep) for sweep in sweeps] for t, sweeps in zip(frames, films, strict=True)]
+            [[returns_of(scene, t, sweep) for sweep in sweeps] for t, sweeps in zip(frames, films, strict=True)]
         ),
         present=np.isfinite(scene.pose[np.asarray(frames), :, 0]).sum(axis=1),
     )
@@ -92,14 +92,6 @@ def figures(source: SceneSource, name: str, frames: Sequence[int]) -> Figures:
 
 def _reach(sweep: Sweep) -> float:
     return float(np.quantile(np.linalg.norm(sweep.points[:, :2], axis=1), 0.99))
-
-
-def hits_of(scene: Scene, frame: int, sweep: Sweep) -> Int[np.ndarray, " M"]:
-    """The sweep's own count of returns, or the points in each box where it has none."""
-    if sweep.hits is not None:
-        return sweep.hits
-    middle = np.column_stack([scene.pose[frame, :, :2] - sweep.origin[:2], scene.size[:, 2] / 2])
-    return count_returns(sweep.points, middle, scene.size, scene.pose[frame, :, 2])
 
 
 def draw(scene: Scene, frame: int, sweeps: Sequence[Sweep], *, extent: float = 48.0) -> Image3:
@@ -119,7 +111,7 @@ def draw(scene: Scene, frame: int, sweeps: Sequence[Sweep], *, extent: float = 4
     panel = image.crop((LEFT, TOP, LEFT + SIDE, TOP + SIDE))  # what is drawn on it ends at its edges
     pen = ImageDraw.Draw(panel)
     _walls(pen, scene, ego, extent)
-    met = np.max([hits_of(scene, frame, sweep) for sweep in sweeps], axis=0) >= SEEN_AT
+    met = np.max([returns_of(scene, frame, sweep) for sweep in sweeps], axis=0) >= SEEN_AT
     _vehicles(pen, scene, frame, ego, met, colours, extent)
     image.paste(panel, (LEFT, TOP))
     _words(ImageDraw.Draw(image), scene, frame, sweeps, met, colours)

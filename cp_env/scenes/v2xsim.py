@@ -23,7 +23,7 @@ import numpy as np
 from jaxtyping import Float
 
 from cp_env.scenes.broken import BrokenData, sift
-from cp_env.scenes.hits import beside, count_returns
+from cp_env.scenes.hits import handed_over
 from cp_env.scenes.v2xsim_index import open_index
 from cp_env.scenes.v2xsim_splits import choose
 from cp_env.scenes.v2xsim_stage import RSU, Stage, present, stage
@@ -139,11 +139,10 @@ class V2XSim:
         world_T_sensor = staged.rows.world_T_sensor[frame, agent]
         origin, ground = staged.origin[agent][frame], staged.ground[frame, agent]
         shift = world_T_sensor[:, 3] - (origin[0], origin[1], ground)
-        points = read_points(path) @ world_T_sensor[:, :3].T.astype(np.float32) + shift.astype(np.float32)
         boxes = staged.boxes[frame] - (origin[0], origin[1], ground, 0, 0, 0, 0)
-        if agent != RSU:
-            points = points[beside(points, boxes[staged.row[agent], [0, 1, 3, 4, 6]])]
-        return Sweep(points, origin, count_returns(points, boxes[:, :3], boxes[:, 3:6], boxes[:, 6]))
+        own = None if agent == RSU else staged.row[agent]
+        points, hits = handed_over(read_points(path), world_T_sensor[:, :3], shift, boxes, own)
+        return Sweep(points, origin, hits)
 
 
 def read_points(path: Path) -> Float[np.ndarray, "P 3"]:

@@ -20,7 +20,7 @@ import numpy as np
 from tqdm import tqdm
 
 from cp_env.scenes.broken import BrokenData, sift
-from cp_env.scenes.hits import beside, count_returns
+from cp_env.scenes.hits import handed_over, standing
 from cp_env.scenes.v2xsim_anchors import CELL
 from cp_env.scenes.v2xsim_det_stage import AGENTS, HEIGHT, Reel, read_points, read_reel
 from cp_env.scenes.v2xsim_splits import SPLITS
@@ -122,16 +122,11 @@ class V2XSimDet:
         ground = world_T_sensor[2, :3] @ (0, 0, reel.ground[agent]) + world_T_sensor[2, 3]
         path = self._files[scene.name][t][agent]
         assert path is not None
-        points = read_points(path, agent) @ world_T_sensor[:, :3].T
-        points += world_T_sensor[:, 3] - (*place, ground)
-        if agent != RSU:
-            row = scene.connected[k]
-            box = np.array([0, 0, *scene.size[row, :2], scene.pose[t, row, 2]])
-            points = points[beside(points, box, margin=CELL / 2)]
-        middle = np.concatenate([scene.pose[t, :, :2] - place, scene.size[:, 2:] / 2], axis=1)
-        hits = count_returns(points, middle, scene.size, scene.pose[t, :, 2], margin=CELL / 2)
-        origin = np.append(place, world_T_sensor[2, 3] - ground)
-        return Sweep(points.astype(np.float32), origin, hits)
+        own = None if agent == RSU else int(scene.connected[k])
+        boxes = standing(scene, t, place)
+        shift = world_T_sensor[:, 3] - (*place, ground)
+        points, hits = handed_over(read_points(path, agent), world_T_sensor[:, :3], shift, boxes, own, margin=CELL / 2)
+        return Sweep(points.astype(np.float32), np.append(place, world_T_sensor[2, 3] - ground), hits)
 
 
 def _find(root: Path, split: str) -> dict[str, _Files]:
