@@ -10,8 +10,8 @@ import copy
 import hashlib
 from collections import OrderedDict
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any, NoReturn
+from dataclasses import dataclass, field, fields, replace
+from typing import NoReturn
 
 import numpy as np
 import torch
@@ -20,6 +20,9 @@ from torch import Tensor
 
 from agents.protocol import Attacker, Streams, streams
 from cp_env.world import Situation
+
+UNTOLD = ("fused", "output", "verdict", "rehearse", "features", "clean", "detector")
+"""Fields of a situation that tell of the defence, and those that follow from the rest and the detector's digest."""
 
 
 @dataclass
@@ -68,11 +71,18 @@ def _refuse(delta: Float[Tensor, "E k C H W"], rng: Sequence[np.random.Generator
 
 def _facts(situation: Situation) -> list[bytes]:
     """Everything else of a situation that an answer may depend on."""
-    tensors: list[Any] = [situation.received, situation.coverage, situation.ego_T_sender, situation.attackers]
-    tensors += [situation.active, *([] if situation.kept is None else [situation.kept])]
-    bits = [tensor.detach().cpu().contiguous().numpy().tobytes() for tensor in tensors]
-    numbers = f"{situation.frame.tolist()} {situation.budget} {situation.norm} {situation.detector.digest}"
-    return [numbers.encode(), situation.place.tobytes(), *bits]
+    told = {part.name: getattr(situation, part.name) for part in fields(situation) if part.name not in UNTOLD}
+    bits = {name: _bits(value) for name, value in told.items()}
+    return [
+        situation.detector.digest.encode(),
+        *(part for item in bits.items() for part in (item[0].encode(), item[1])),
+    ]
+
+
+def _bits(value: Tensor | np.ndarray | float | str | None) -> bytes:
+    if isinstance(value, Tensor):
+        return value.detach().cpu().contiguous().numpy().tobytes()
+    return value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode()
 
 
 def _digest(*parts: bytes) -> bytes:

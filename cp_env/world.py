@@ -279,15 +279,15 @@ class World:
         """See `Situation.rehearse`."""
         return self._play(delta, [s.imagined(own) for s, own in zip(self._worlds, coins, strict=True)])
 
-    @torch.inference_mode()
     def _play(self, delta: Float[Tensor, "E k C H W"], minds: Sequence[Defender]) -> Outcome:
-        situation = self.situation()
-        attacked, norms = self._transmit(situation, delta)
-        perceive = self._perceiver(attacked, situation)
-        seen = perceive([(e, self._everyone) for e in range(self.num_envs)])
-        states = zip(self._worlds, seen, strict=True)
-        frames = [Frame(s.frame, self.settings.n_maps, view, s.output) for s, view in states]
-        return self._outcome(frames, judge(frames, minds, perceive), norms)
+        with torch.inference_mode():
+            situation = self.situation()
+            attacked, norms = self._transmit(situation, delta)
+            perceive = self._perceiver(attacked, situation)
+            seen = perceive([(e, self._everyone) for e in range(self.num_envs)])
+            states = zip(self._worlds, seen, strict=True)
+            frames = [Frame(s.frame, self.settings.n_maps, view, s.output) for s, view in states]
+            return self._outcome(frames, judge(frames, minds, perceive), norms)
 
     def _transmit(
         self, situation: Situation, delta: Float[Tensor, "E k C H W"]

@@ -95,9 +95,16 @@ def dispatched(func: Any, args: Any, kwargs: dict[str, Any]) -> Any:
     result = func(*tree_map(brought, args), **tree_map(brought, kwargs))
     if func is torch.ops.aten.copy_.default:
         return args[0]
-    if func._schema.is_mutable and isinstance(args[0] if args else None, Away):
+    if _returns_its_first(func) and isinstance(args[0] if args else None, Away):
         return args[0]
     return tree_map(lambda one: Away(one) if there and isinstance(one, Tensor) else one, result)
+
+
+def _returns_its_first(func: Any) -> bool:
+    """Whether it changes its first operand and gives that back. (Batch normalisation changes others.)"""
+    schema = func._schema
+    alias = schema.arguments[0].alias_info if schema.is_mutable and schema.arguments else None
+    return alias is not None and alias.is_write
 
 
 def brought(one: Any) -> Any:

@@ -7,6 +7,7 @@ difference in rounding: what is computed there is bit for bit what is computed h
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +18,12 @@ import torch
 import agents
 from cp_env.action import make_action
 from cp_env.bank import SceneBank
+from cp_env.detector import evaluate, train
 from cp_env.detector.coperception import CoperceptionDetector
 from cp_env.detector.coperception.checkpoint import Weights
+from cp_env.detector.data import Footage, encode, prepare
 from cp_env.detector.protocol import DetectorLike
-from cp_env.detector.weights import FOLDER, read_detector
+from cp_env.detector.weights import FOLDER, read_detector, save_detector
 from cp_env.game import Game
 from cp_env.testing import check_detector
 from cp_env.world import World
@@ -116,3 +119,56 @@ def test_so_are_the_agents_actions(action: str, tmp_path: Path) -> None:
     with pretended():
         there = rewards(toy().to("meta"), tmp_path / "there")
     assert here == there
+
+
+LEARNING = train.Args(frames=1, egos=1, views=2, agents=2, threads=1, checkpoint_every=2, steps=3)
+
+
+@pytest.fixture(scope="module")
+def footage(tmp_path_factory: pytest.TempPathFactory) -> list[Footage]:
+    return prepare(SOURCE, tmp_path_factory.mktemp("footage"), stride=2)
+
+
+@pytest.mark.parametrize("fusion", ["mean", "disconet"])
+def test_so_is_what_training_makes_there(fusion: str, footage: list[Footage], tmp_path: Path) -> None:
+    """With a teacher, where there is one."""
+    teacher = tmp_path / "teacher.safetensors"
+    save_detector(train.begin(LEARNING), teacher)
+    args = replace(LEARNING, fusion=fusion, teacher=teacher if fusion == "disconet" else None)
+    here = train.train(replace(args, out=tmp_path / "here"), footage)
+    with pretended():
+        there = train.train(replace(args, out=tmp_path / "there", device="meta"), footage)
+        assert there.device.type == "meta" and there.digest == here.digest
+        save_detector(there, tmp_path / "there.safetensors")
+    assert torch.equal(read_detector(tmp_path / "there.safetensors").decoder.head.bias, here.decoder.head.bias)
+
+
+def test_a_run_goes_on_on_another_device(footage: list[Footage], tmp_path: Path) -> None:
+    """Two steps there and the third here are three steps here."""
+    whole = train.train(replace(LEARNING, out=tmp_path / "whole"), footage)
+    moved = replace(LEARNING, out=tmp_path / "moved")
+    assert all(train.learning_rate(0, LEARNING) == train.learning_rate(1, replace(LEARNING, steps=n)) for n in (2, 3))
+    with pretended():
+        train.train(replace(moved, steps=2, device="meta"), footage)
+    assert train.train(moved, footage).digest == whole.digest
+
+
+def test_encoders_maps_and_figures_are_the_same_there(footage: list[Footage], tmp_path: Path) -> None:
+    weights, figures = tmp_path / "mean.safetensors", tmp_path / "figures.json"
+    save_detector(read_detector(FOLDER / "mean.safetensors"), weights)
+
+    def kept(device: str) -> list[np.ndarray]:
+        detector = read_detector(weights).to(device)
+        return [np.asarray(film.maps) for film in encode(footage, detector, tmp_path / device)]
+
+    def report(device: str) -> str:
+        args = evaluate.Args(n_vehicles=2, frames=2, weights=weights, json=figures, device=device)
+        evaluate.main(args)
+        return figures.read_text()
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(evaluate, "open_source", lambda _: SOURCE)
+        here = kept("cpu"), report("cpu")
+        with pretended():
+            there = kept("meta"), report("meta")
+    assert all(np.array_equal(a, b) for a, b in zip(here[0], there[0], strict=True)) and here[1] == there[1]

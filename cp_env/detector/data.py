@@ -60,6 +60,18 @@ class Batch:
     groups: Bool[Tensor, "B N"]
     targets: Targets  # of the B views
 
+    def to(self, device: str | torch.device) -> Batch:
+        """The same on `device`."""
+        return Batch(
+            self.occupancy.to(device),
+            None if self.maps is None else self.maps.to(device),
+            self.agent.to(device),
+            self.ego_T_sender.to(device),
+            self.world.to(device),
+            self.groups.to(device),
+            self.targets.to(device),
+        )
+
 
 def prepare(source: SceneSource, cache: Path, *, stride: int = 2, limit: int | None = None) -> list[Footage]:
     """The footage of every scene of a source (every `stride`-th frame), from the cache where it is there."""

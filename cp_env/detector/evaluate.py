@@ -49,6 +49,7 @@ class Args:
     protocol: str = "strict"  # how AP is counted: "strict" or "coperception" (see `cp_env.metrics`)
     calibrate: bool = False  # choose the operating threshold on these scenes and write it into `weights`
     json: Path | None = None  # where to write the figures too
+    device: str = "cpu"  # as torch spells it
     threads: int = 1
 
 
@@ -104,11 +105,12 @@ def look(detector: Detector, scene: Scene, frame: int, sweeps: Sequence[Sweep]) 
     maps = detector.encode(sweeps)
     sensors = np.stack([sweep.origin[:2] for sweep in sweeps])
     origin = grid_origin(sensors)
-    pose = torch.zeros(n, 3)
-    pose[:, :2] = torch.from_numpy(origin - origin[0])
+    shift = np.pad(origin - origin[0], ((0, 0), (0, 1))).astype(np.float32)
+    pose = torch.from_numpy(shift).to(detector.device)
     received, coverage = detector.warp(maps, pose), detector.coverage(pose)
-    groups = torch.ones(n, n, dtype=torch.bool).tril()
-    dense = detector.perceive(received[None], coverage[None], torch.zeros(n, dtype=torch.long), groups)
+    groups = torch.ones(n, n, dtype=torch.bool, device=detector.device).tril()
+    world = torch.zeros(n, dtype=torch.long, device=detector.device)
+    dense = detector.perceive(received[None], coverage[None], world, groups)
     ego = int(scene.connected[0])
     rows = rows_in_range(scene, frame, ego, detector.extent)
     returns = sum(returns_of(scene, frame, sweep)[rows] for sweep in sweeps)
@@ -204,7 +206,10 @@ def main(args: Args) -> None:
     """Measure, or calibrate and measure."""
     torch.set_num_threads(args.threads)
     source = open_source(args.scenes)
-    detector = load_detector() if args.weights is None else read_detector(args.weights).freeze()
+    if args.weights is None:
+        detector = load_detector(device=args.device)
+    else:
+        detector = read_detector(args.weights).to(args.device).freeze()
     seen = list(watch(detector, source, args))
     threshold = detector.threshold
     if args.calibrate:

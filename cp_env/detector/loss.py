@@ -36,6 +36,10 @@ class Targets:
     boxes: Float[Tensor, "B 6 h w"]
     box_weight: Float[Tensor, "B h w"]
 
+    def to(self, device: str | torch.device) -> Targets:
+        """The same on `device`."""
+        return Targets(*(part.to(device) for part in (self.heat, self.weight, self.boxes, self.box_weight)))
+
 
 def box_code(boxes: Float[Tensor, "*n 5"]) -> Float[Tensor, "*n 4"]:
     """log length, log width, sin 2yaw, cos 2yaw of boxes (x, y, length, width, yaw)."""

@@ -65,6 +65,7 @@ class Args:
     distillation: float = 10.0  # weight of what is learned of it
     early: bool = False  # fuse points, not maps: train a teacher
     seed: int = 0
+    device: str = "cpu"  # as torch spells it; a run may go on on another
     threads: int = 2
     checkpoint_every: int = 100
     cache: Path | None = None  # of the rasterised sweeps and their maps; by default in the user's cache directory
@@ -127,8 +128,8 @@ def begin(args: Args) -> Detector:
 def train(args: Args, footage: list[Footage]) -> Detector:
     """Train, or go on training, until `args.steps`; checkpoints in `args.out`."""
     torch.set_num_threads(args.threads)
-    detector = begin(args)
-    teacher = None if args.teacher is None else read_detector(args.teacher).eval().requires_grad_(False)
+    detector = begin(args).to(args.device)
+    teacher = None if args.teacher is None else read_detector(args.teacher).to(args.device).eval().requires_grad_(False)
     optimizer = torch.optim.AdamW([p for p in detector.parameters() if p.requires_grad], weight_decay=args.weight_decay)
     args.out.mkdir(parents=True, exist_ok=True)
     checkpoint = args.out / "checkpoint.pt"
@@ -144,7 +145,7 @@ def train(args: Args, footage: list[Footage]) -> Detector:
             egos=args.egos,
             views=args.views,
             agents=args.agents,
-        )
+        ).to(args.device)
         for group in optimizer.param_groups:
             group["lr"] = learning_rate(step, args)
         optimizer.zero_grad()
@@ -163,8 +164,14 @@ def train(args: Args, footage: list[Footage]) -> Detector:
 
 def _checkpoint(path: Path, detector: Detector, optimizer: torch.optim.Optimizer, step: int) -> None:
     partial = path.with_suffix(".part")
-    torch.save({"model": detector.state_dict(), "optimizer": optimizer.state_dict(), "step": step}, partial)
+    learned = optimizer.state_dict()
+    learned["state"] = {key: _on_cpu(moments) for key, moments in learned["state"].items()}
+    torch.save({"model": _on_cpu(detector.state_dict()), "optimizer": learned, "step": step}, partial)
     partial.rename(path)
+
+
+def _on_cpu(state: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+    return {name: tensor.cpu() for name, tensor in state.items()}
 
 
 def _resume(path: Path, detector: Detector, optimizer: torch.optim.Optimizer) -> int:
@@ -186,7 +193,7 @@ def load(args: Args, source: SceneSource) -> list[Footage]:
     footage = prepare(source, cache, stride=args.stride)
     if args.encoder is None:
         return footage
-    detector = read_detector(args.encoder)
+    detector = read_detector(args.encoder).to(args.device)
     key = hashlib.sha256(f"{source.digest} {args.stride} {detector.maps_digest}".encode()).hexdigest()[:16]
     return encode(footage, detector, cache / f"maps-{key}")
 
@@ -197,7 +204,9 @@ def main(args: Args) -> None:
     torch.set_num_threads(args.threads)
     source = open_source(args.scenes)
     detector = train(args, load(args, source))
-    settings = {key: str(value) for key, value in asdict(args).items() if key not in ("out", "cache", "threads")}
+    settings = {
+        key: str(value) for key, value in asdict(args).items() if key not in ("out", "cache", "threads", "device")
+    }
     name = "early" if args.early else args.fusion
     save_detector(detector, args.out / f"{name}.safetensors", trained={**settings, "source": source.digest})
 

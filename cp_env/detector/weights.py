@@ -43,7 +43,7 @@ def _loaded(name: str, device: str) -> Detector:
 def save_detector(detector: Detector, path: Path, **notes: Any) -> None:
     """Write a detector that is not frozen, convolutions in half precision; `notes` go into the metadata as JSON."""
     tensors = {
-        key: tensor.half().contiguous() if tensor.dim() == 4 else tensor.contiguous()
+        key: (tensor.half() if tensor.dim() == 4 else tensor).cpu().contiguous()
         for key, tensor in detector.state_dict().items()
     }
     about = {
