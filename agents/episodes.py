@@ -2,22 +2,15 @@
 
 from __future__ import annotations
 
-import zlib
-from collections.abc import Callable, Sequence
+import copy
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from agents.policy import Policy
-from agents.protocol import Attacker
-from cp_env.game import Game
-from cp_env.world import Outcome
-
-Move = Callable[[], Outcome]
-Player = Callable[[Game, Any, Sequence[np.random.Generator]], Move]
-"""From a game just reset, its observations and one stream a world: a function that plays one frame."""
+from cp_env.bank import SceneBank
+from cp_env.evaluation import Attacker, Learned, Protocol, Stage, plan
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,84 +28,34 @@ class Episodes:
         return cls(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls)))
 
 
-def play(game: Game, player: Player, scenes: Sequence[str], seed: int) -> Episodes:
-    """One episode on each scene, `game.num_envs` at a time. Seed and scene fix liars and noise, whoever plays."""
-    if not scenes or len(scenes) % game.num_envs:
-        raise ValueError(f"{len(scenes)} scenes do not fill batches of {game.num_envs} worlds; change either")
-    batches = [scenes[i : i + game.num_envs] for i in range(0, len(scenes), game.num_envs)]
-    return Episodes.joined([_batch(game, player, batch, seed) for batch in batches])
+def play(
+    attacker: Attacker | Learned,
+    protocol: Protocol,
+    bank: SceneBank,
+    *,
+    defender: str,
+    k: int = 2,
+    seed: int = 0,
+    batch: int = 6,
+) -> Episodes:
+    """One episode on each scene of the protocol, `batch` at a time.
+
+    Seed and scene fix where it starts, the liars and the noise, whoever plays. Every batch meets the attacker as it was
+    handed over: what it remembers of one is not carried into the next.
+    """
+    cells = plan(protocol, defenders=(defender,), attacks=("attacker",), ks=(k,), seeds=(seed,), batch=batch)
+    return Episodes.joined([_episodes(Stage(cell, protocol, bank, copy.deepcopy(attacker))) for cell in cells])
 
 
-def _batch(game: Game, player: Player, scenes: Sequence[str], seed: int) -> Episodes:
-    observations = begin(game, scenes, seed)
-    move = player(game, observations, [np.random.default_rng(_seeds(seed, scene, 1)) for scene in scenes])
-    totals = np.zeros((len(fields(Episodes)), game.num_envs))
-    over = np.zeros(game.num_envs, dtype=bool)
+def _episodes(stage: Stage) -> Episodes:
+    worlds = stage.world.num_envs
+    totals, over = np.zeros((len(fields(Episodes)), worlds)), np.zeros(worlds, dtype=bool)
     while not over.all():
-        outcome = move()
+        outcome = stage.move()
         collaborators = [verdict.collaborators for verdict in outcome.verdicts]
         out = [[v not in kept for v in liars] for liars, kept in zip(outcome.attackers, collaborators, strict=True)]
-        frame = [
-            outcome.damage,
-            np.ones(game.num_envs),
-            outcome.similarity,
-            outcome.verifications,
-            np.mean(out, axis=1),
-        ]
+        frame = [outcome.damage, np.ones(worlds), outcome.similarity, outcome.verifications, np.mean(out, axis=1)]
         totals += np.where(over, 0.0, np.stack(frame))
         over |= outcome.truncated
     damage, frames, *means = totals
     return Episodes(damage, frames, *(total / frames for total in means))
-
-
-def begin(game: Game, scenes: Sequence[str], seed: int) -> Any:
-    """Reset world e to the start of `scenes[e]`; the observations."""
-    game.reset([_seeds(seed, scene, 0) for scene in scenes], options={"scene": scenes[0], "start": 0})
-    for e, scene in enumerate(scenes):
-        observations, _ = game.reset([_seeds(seed, scene, 0)], worlds=[e], options={"scene": scene, "start": 0})
-    return observations
-
-
-def _seeds(seed: int, scene: str, purpose: int) -> np.random.SeedSequence:
-    return np.random.SeedSequence([seed, zlib.crc32(scene.encode()), purpose])
-
-
-def by_policy(policy: Policy) -> Player:
-    """A learned attacker, playing the mean of its policy through the game's action map."""
-
-    def player(game: Game, observations: Any, streams: Sequence[np.random.Generator]) -> Move:
-        del streams
-        held = [observations]
-
-        def move() -> Outcome:
-            held[0], *_ = game.step(policy(held[0]))
-            assert game.outcome is not None
-            return game.outcome
-
-        return move
-
-    return player
-
-
-def by_chance(game: Game, observations: Any, streams: Sequence[np.random.Generator]) -> Move:
-    """Uniform actions through the game's action map."""
-    del observations
-    shape = (len(game.slots), *game.single_action_space.shape)
-
-    def move() -> Outcome:
-        game.step(np.stack([rng.uniform(-1.0, 1.0, shape) for rng in streams]).astype(np.float32))
-        assert game.outcome is not None
-        return game.outcome
-
-    return move
-
-
-def by_attacker(attacker: Attacker) -> Player:
-    """A scripted attacker, past the action map."""
-
-    def player(game: Game, observations: Any, streams: Sequence[np.random.Generator]) -> Move:
-        del observations
-        attacker.reset(game.num_envs, streams)
-        return lambda: game.world.step(attacker.act(game.world.situation()))
-
-    return player

@@ -1,20 +1,17 @@
-"""PPO from Stable-Baselines3 over the native `VecEnv`: settings that fit the game, checkpoints, held-out evaluation."""
+"""PPO from Stable-Baselines3 over the native `VecEnv`: settings that fit the game, the actor cut out, checkpoints."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 from stable_baselines3 import PPO
-from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecEnv
 
-from agents.episodes import by_policy, play
-from agents.policy import Policy, save_policy
-from cp_env.game import Game
+from agents.memory import Memory
+from agents.policy import MEMORY, Policy
 
 PPO_KNOBS: dict[str, Any] = {
     "n_steps": 32,
@@ -30,18 +27,55 @@ PPO_KNOBS: dict[str, Any] = {
 NETWORK: dict[str, Any] = {"net_arch": {"pi": [64, 64], "vf": [64, 64]}, "log_std_init": -0.7}
 """Exploration begins at half the action range: at SB3's usual deviation of 1 most numbers would be clipped."""
 
-
-def make_ppo(env: VecEnv, seed: int, *, tensorboard: Path | None = None, **knobs: Any) -> PPO:
-    """A fresh learner on one torch thread's worth of network; `knobs` override `PPO_KNOBS`."""
-    log = None if tensorboard is None else str(tensorboard)
-    return PPO(
-        "MlpPolicy", env, seed=seed, policy_kwargs=NETWORK, tensorboard_log=log, device="cpu", **(PPO_KNOBS | knobs)
-    )
+MEMORY_SIZE = 64
+"""Hidden units of a recurrent policy's LSTM."""
 
 
-def export(model: PPO, defender: str, knobs: dict[str, Any], **notes: Any) -> Policy:
-    """The actor of `model`, cut out of SB3."""
-    layers = [m for m in [*model.policy.mlp_extractor.policy_net, model.policy.action_net] if hasattr(m, "weight")]
+def make_ppo(env: VecEnv, seed: int, *, recurrent: bool = False, **knobs: Any) -> OnPolicyAlgorithm:
+    """A fresh learner on the CPU; `knobs` override `PPO_KNOBS`.
+
+    Raises ValueError if a recurrent one is asked for and sb3-contrib is not installed.
+    """
+    knobs = {"seed": seed, "device": "cpu"} | PPO_KNOBS | knobs
+    if not recurrent:
+        return PPO("MlpPolicy", env, policy_kwargs=NETWORK, **knobs)
+    try:
+        from sb3_contrib import RecurrentPPO
+    except ImportError as error:
+        raise ValueError("a recurrent policy is learned by sb3-contrib: pip install 'cp-env[recurrent]'") from error
+    network = NETWORK | {"lstm_hidden_size": MEMORY_SIZE}
+    return RecurrentPPO("MlpLstmPolicy", env, policy_kwargs=network, **knobs)
+
+
+def adopt(model: OnPolicyAlgorithm, policy: Policy) -> None:
+    """Let the actor of a learner begin where a policy stands; its critic begins anew.
+
+    Raises ValueError if the policy has another shape than the learner's actor.
+    """
+    layers, lstm = _layers(model), getattr(model.policy, "lstm_actor", None)
+    pairs = [(model.policy.log_std, policy.log_std)]
+    pairs += [(layer.weight, weight) for layer, weight in zip(layers, policy.weights, strict=True)]
+    pairs += [(layer.bias, bias) for layer, bias in zip(layers, policy.biases, strict=True)]
+    if lstm is not None and policy.memory is not None:
+        pairs += [(getattr(lstm, f"{name}_l0"), getattr(policy.memory, name)) for name in MEMORY]
+    if (lstm is None) != (policy.memory is None) or any(mine.shape != theirs.shape for mine, theirs in pairs):
+        raise ValueError("a policy of another shape cannot be learned on: choose its knowledge, joint and recurrent")
+    with torch.no_grad():
+        for mine, theirs in pairs:
+            mine.copy_(theirs)
+
+
+def _layers(model: OnPolicyAlgorithm) -> list[torch.nn.Linear]:
+    """The actor's linear layers, first to last."""
+    modules = [*model.policy.mlp_extractor.policy_net, model.policy.action_net]
+    return [module for module in modules if isinstance(module, torch.nn.Linear)]
+
+
+def export(
+    model: OnPolicyAlgorithm, defender: str, knobs: dict[str, Any], *, joint: bool = False, **notes: Any
+) -> Policy:
+    """The actor of `model`, cut out of SB3, with its memory if it has one."""
+    layers, lstm = _layers(model), getattr(model.policy, "lstm_actor", None)
     return Policy(
         weights=tuple(layer.weight.detach().clone() for layer in layers),
         biases=tuple(layer.bias.detach().clone() for layer in layers),
@@ -49,10 +83,12 @@ def export(model: PPO, defender: str, knobs: dict[str, Any], **notes: Any) -> Po
         defender=defender,
         knobs=dict(knobs),
         notes=notes | {"timesteps": int(model.num_timesteps)},
+        joint=joint,
+        memory=None if lstm is None else Memory(*(getattr(lstm, f"{name}_l0").detach().clone() for name in MEMORY)),
     )
 
 
-def save_checkpoint(model: PPO, path: Path) -> None:
+def save_checkpoint(model: OnPolicyAlgorithm, path: Path) -> None:
     """Network, optimiser and clock; the file appears whole or not at all."""
     partial = path.with_suffix(".part")
     state = {
@@ -64,7 +100,7 @@ def save_checkpoint(model: PPO, path: Path) -> None:
     partial.replace(path)
 
 
-def load_checkpoint(model: PPO, path: Path) -> None:
+def load_checkpoint(model: OnPolicyAlgorithm, path: Path) -> None:
     """Go on from a checkpoint of the same settings. Raises ValueError if it is broken or does not fit."""
     try:
         state = torch.load(path, weights_only=True)
@@ -73,71 +109,3 @@ def load_checkpoint(model: PPO, path: Path) -> None:
         model.num_timesteps = int(state["timesteps"])
     except Exception as error:
         raise ValueError(f"cannot go on from {path}: {error}; delete it to begin anew") from error
-
-
-class Holdout(BaseCallback):
-    """After every `every` rollouts and at the end: a checkpoint, and the damage per episode on scenes not trained on.
-
-    The policy that did most damage is kept in `best`, and in the file `policy.safetensors` of `folder`.
-    """
-
-    def __init__(
-        self,
-        game: Game,
-        scenes: Sequence[str],
-        folder: Path,
-        *,
-        defender: str,
-        knobs: dict[str, Any],
-        every: int,
-        seed: int,
-    ) -> None:
-        super().__init__()
-        self.game, self.scenes, self.folder, self.every = game, list(scenes), folder, every
-        self.defender, self.knobs, self.training_seed = defender, knobs, seed
-        self.best: Policy | None = None
-        self._rollouts = 0
-
-    def _on_rollout_start(self) -> None:
-        if self._rollouts and self._rollouts % self.every == 0:
-            self._look()
-        self._rollouts += 1
-
-    def _on_training_end(self) -> None:
-        self._look()
-
-    def _on_step(self) -> bool:
-        return True
-
-    def _look(self) -> None:
-        policy = export(self.model, self.defender, self.knobs, seed=self.training_seed)  # type: ignore[arg-type]
-        episodes = play(self.game, by_policy(policy), self.scenes, seed=0)
-        policy.notes.update(holdout_damage=float(episodes.damage.mean()), holdout_scenes=len(self.scenes))
-        self.logger.record("holdout/damage", float(episodes.damage.mean()))
-        self.logger.record("holdout/excluded", float(episodes.excluded.mean()))
-        self.logger.record("holdout/similarity", float(episodes.similarity.mean()))
-        self.logger.dump(self.num_timesteps)
-        if self.best is None or policy.notes["holdout_damage"] > self.best.notes["holdout_damage"]:
-            self.best = policy
-            save_policy(policy, self.folder / "policy.safetensors")
-        save_checkpoint(self.model, self.folder / "checkpoint.pt")  # type: ignore[arg-type]
-        self.policy = policy
-
-
-class FrameDamage(BaseCallback):
-    """TensorBoard curves of what the frames of a rollout looked like."""
-
-    KEYS = ("damage", "similarity", "verifications", "excluded", "perturbation_norm")
-
-    def _on_training_start(self) -> None:
-        self._seen: dict[str, list[float]] = {key: [] for key in self.KEYS}
-
-    def _on_step(self) -> bool:
-        for key in self.KEYS:
-            self._seen[key] += [info[key] for info in self.locals["infos"]]
-        return True
-
-    def _on_rollout_end(self) -> None:
-        for key, values in self._seen.items():
-            self.logger.record(f"frame/{key}", float(np.mean(values)))
-            values.clear()

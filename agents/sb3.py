@@ -1,6 +1,7 @@
-"""A native Stable-Baselines3 `VecEnv`: every adversary of every world is one environment of SB3's.
+"""A native Stable-Baselines3 `VecEnv`: every adversary of every world is one environment of SB3's, or every world is.
 
-Environment i drives slot i mod k of world i div k, so a policy is shared by the liars and paid by the team.
+Shared: environment i drives slot i mod k of world i div k, so a policy is shared by the liars and paid by the team.
+Joint: environment i is world i; one actor sees what all its liars see and moves them all, each laid end to end.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
 
 from cp_env.game import Game, Infos
+from cp_env.joint import join, joint_space
 from defenders.protocol import Defender
 
 RENDER_MODES = (None, "rgb_array")
@@ -27,11 +29,15 @@ def make_vec_env(
     num_envs: int,
     defender: str | Defender | Callable[[], Defender] = "prbi",
     *,
+    joint: bool = False,
     render_mode: str | None = None,
     **knobs: Any,
 ) -> AdversaryVecEnv:
-    """`num_envs` worlds of k liars as a VecEnv of `num_envs * k` environments; knobs as in `cp_env.parallel_env`."""
-    return AdversaryVecEnv(Game(num_envs, defender, **(RL_KNOBS | knobs)), render_mode=render_mode)
+    """`num_envs` worlds of k liars as a VecEnv of `num_envs * k` environments, or of `num_envs` joint ones.
+
+    Knobs as in `cp_env.parallel_env`.
+    """
+    return AdversaryVecEnv(Game(num_envs, defender, **(RL_KNOBS | knobs)), joint=joint, render_mode=render_mode)
 
 
 class AdversaryVecEnv(VecEnv):
@@ -39,19 +45,26 @@ class AdversaryVecEnv(VecEnv):
 
     The infos of a last step carry `terminal_observation` and, since nothing ever terminates, `TimeLimit.truncated`.
     `seed()` and `set_options()` hold for the next `reset()` and are then forgotten; a world takes its first slot's.
+    The infos of a joint environment are means over its liars.
     """
 
-    def __init__(self, game: Game, *, render_mode: str | None = None) -> None:
+    def __init__(self, game: Game, *, joint: bool = False, render_mode: str | None = None) -> None:
         if render_mode not in RENDER_MODES:
             raise ValueError(f"render_mode must be one of {RENDER_MODES}, got {render_mode!r}")
-        self.game, self.render_mode, self.n_slots = game, render_mode, len(game.slots)
+        self.game, self.joint, self.render_mode, self.n_slots = game, joint, render_mode, len(game.slots)
+        self.n_seats = 1 if joint else self.n_slots  # environments of SB3's a world
         self._actions: NDArray[Any] | None = None
-        super().__init__(game.num_envs * self.n_slots, game.single_observation_space, game.single_action_space)
+        per_seat = self.n_slots // self.n_seats
+        super().__init__(
+            game.num_envs * self.n_seats,
+            joint_space(game.single_observation_space, per_seat),
+            joint_space(game.single_action_space, per_seat),
+        )
         self.render_mode = render_mode
 
     def reset(self) -> VecEnvObs:
         """Begin new episodes in all worlds; the observations (n, …), or a dict of them."""
-        first = slice(None, None, self.n_slots)
+        first = slice(None, None, self.n_seats)
         seeds, options = self._seeds[first], self._options[first]
         observations, infos = self.game.reset(seeds, options=options[0])
         for e, (seed, option) in enumerate(zip(seeds, options, strict=True)):
@@ -72,9 +85,9 @@ class AdversaryVecEnv(VecEnv):
             raise RuntimeError("step_wait() needs the actions of a step_async() before it")
         actions, self._actions = self._actions, None
         observations, reward, truncated, infos = self.game.step(
-            actions.reshape(self.game.num_envs, self.n_slots, *self.action_space.shape)  # type: ignore[misc]
+            actions.reshape(self.game.num_envs, self.n_slots, *self.game.single_action_space.shape)
         )
-        dones, rows, flat = np.repeat(truncated, self.n_slots), self._rows(infos), self._flat(observations)
+        dones, rows, flat = np.repeat(truncated, self.n_seats), self._rows(infos), self._flat(observations)
         over = np.flatnonzero(truncated).tolist()
         if over:
             for i in np.flatnonzero(dones):
@@ -83,14 +96,14 @@ class AdversaryVecEnv(VecEnv):
             fresh, flat = self._rows(infos), self._flat(observations)
             for i in np.flatnonzero(dones):
                 self.reset_infos[i] = fresh[i]
-        return flat, reward.reshape(-1).astype(np.float32), dones, rows
+        return flat, reward[:, : self.n_seats].reshape(-1).astype(np.float32), dones, rows
 
     def close(self) -> None:
         """Nothing is held open."""
 
     def get_images(self) -> Sequence[np.ndarray | None]:
         """One picture a world, in the place of its first slot."""
-        return [self.game.render(i // self.n_slots) if i % self.n_slots == 0 else None for i in range(self.num_envs)]
+        return [self.game.render(i // self.n_seats) if i % self.n_seats == 0 else None for i in range(self.num_envs)]
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
         """The attribute of this object, or else of the game, once for each index."""
@@ -104,7 +117,7 @@ class AdversaryVecEnv(VecEnv):
     def env_method(self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any) -> list[Any]:
         """Call a method of the game with each index's world as its last positional argument."""
         method = getattr(self.game, method_name)
-        return [method(*args, i // self.n_slots, **kwargs) for i in self._get_indices(indices)]
+        return [method(*args, i // self.n_seats, **kwargs) for i in self._get_indices(indices)]
 
     def env_is_wrapped(
         self, wrapper_class: type[Wrapper[Any, Any, Any, Any]], indices: VecEnvIndices = None
@@ -113,13 +126,18 @@ class AdversaryVecEnv(VecEnv):
         return [False for _ in self._get_indices(indices)]
 
     def _rows(self, infos: Infos) -> list[dict[str, Any]]:
-        columns = {key: values.reshape(-1).tolist() for key, values in infos.items()}
+        columns = {key: self._by_seat(values).ravel().tolist() for key, values in infos.items()}
         return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
+    def _by_seat(self, values: NDArray[Any]) -> NDArray[Any]:
+        return values.mean(axis=1) if self.joint else values
+
     def _flat(self, observations: VecEnvObs) -> VecEnvObs:
+        assert not isinstance(observations, tuple)
+        if self.joint:
+            return join(observations)
         if isinstance(observations, dict):
             return {key: value.reshape(-1, *value.shape[2:]) for key, value in observations.items()}
-        assert isinstance(observations, np.ndarray)
         return observations.reshape(-1, *observations.shape[2:])
 
 

@@ -65,8 +65,7 @@ class Observer:
         """Every slot's observation, first axes [E, S]. In `fresh` worlds the episode just began: no `last` there."""
         context = np.clip(self._context(world, seats, last, fresh), -1.0, 1.0).astype(np.float32)
         maps = world.features()
-        index = torch.from_numpy(seats.vehicle).to(maps.device)
-        own = torch.take_along_dim(maps, index[..., None, None, None], dim=1)
+        own = maps[torch.arange(len(maps))[:, None], torch.from_numpy(seats.vehicle)]
         if self.settings.observation == "features":
             return {"features": own.cpu().numpy(), "context": context}
         energy = np.tanh(_pooled(own.mean(2)))

@@ -1,35 +1,18 @@
 from __future__ import annotations
 
-from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import torch
 from gymnasium import Wrapper
 
-from agents import episodes, ppo
-from agents.policy import load_policy, policy_names, save_policy
 from agents.sb3 import AdversaryVecEnv, make_vec_env
-from agents.scenes import Some
 from cp_env.bank import SceneBank
-from cp_env.detector import Detector
 from cp_env.game import Game
-from tests.toy import ToySource
+from cp_env.vector import JointAdversaryVectorEnv
+from tests.agents.conftest import FRAMES
 
-FRAMES = 3
 K = 2
-
-
-@pytest.fixture(scope="module")
-def bank(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SceneBank]:
-    with torch.random.fork_rng():
-        torch.manual_seed(0)
-        detector = Detector(channels=8)
-        with torch.no_grad():
-            detector.decoder.head.bias.zero_()  # sees something everywhere
-    yield SceneBank(ToySource(n_frames=FRAMES + 2), detector.freeze(), tmp_path_factory.mktemp("bank"), progress=False)
 
 
 def _env(bank: SceneBank, worlds: int = 2, **knobs: Any) -> AdversaryVecEnv:
@@ -128,104 +111,35 @@ def test_bad_calls_are_refused(bank: SceneBank) -> None:
         make_vec_env(1, bank=bank, render_mode="ansi")
 
 
-def _learner(bank: SceneBank, seed: int) -> Any:
-    model = ppo.make_ppo(_env(bank), seed, n_steps=FRAMES, batch_size=6, n_epochs=2)
-    return model.learn(2 * FRAMES * 2 * K)
+def test_joint_and_shared_see_the_same_world(bank: SceneBank) -> None:
+    shared, joint = _env(bank), _env(bank, joint=True)
+    twin = JointAdversaryVectorEnv(2, bank=bank, max_frames=FRAMES, n_attackers=K)
+    assert joint.num_envs == 2
+    assert joint.observation_space == twin.single_observation_space
+    assert joint.action_space == twin.single_action_space
+    shared.seed(5), joint.seed(5)  # a world takes its first slot's seed: 5 and 7, 5 and 6
+    shared._seeds = [5, 6, 6, 7]
+    mine, ours = shared.reset(), joint.reset()
+    theirs, _ = twin.reset(seed=5)
+    for t in range(FRAMES + 1):
+        np.testing.assert_array_equal(mine.reshape(2, -1), ours)
+        np.testing.assert_array_equal(ours, theirs)
+        actions = _actions(shared, t)
+        mine, paid, dones, infos = shared.step(actions)
+        ours, rewards, over, told = joint.step(actions.reshape(2, -1))
+        theirs, expected, *_ = twin.step(actions.reshape(2, -1))
+        np.testing.assert_array_equal(paid.reshape(2, K)[:, 0], rewards)
+        np.testing.assert_allclose(rewards, expected, rtol=1e-6)
+        assert dones.reshape(2, K)[:, 0].tolist() == over.tolist() == [t + 1 == FRAMES] * 2
+        assert told[1]["excluded"] == np.mean([infos[2]["excluded"], infos[3]["excluded"]])
+        if over.all():
+            last = [np.concatenate([infos[K * e + j]["terminal_observation"] for j in range(K)]) for e in range(2)]
+            np.testing.assert_array_equal(np.stack([info["terminal_observation"] for info in told]), last)
 
 
-def test_ppo_with_the_same_seed_is_bit_equal(bank: SceneBank) -> None:
-    one, two, other = (_learner(bank, seed).policy.state_dict() for seed in (0, 0, 1))
-    assert all(torch.equal(one[key], two[key]) for key in one)
-    assert not all(torch.equal(one[key], other[key]) for key in one)
-
-
-def test_a_policy_survives_the_disk_and_plays_without_sb3(bank: SceneBank, tmp_path: Path) -> None:
-    model = _learner(bank, 0)
-    policy = ppo.export(model, "prbi", {"max_frames": FRAMES}, seed=0)
-    save_policy(policy, tmp_path / "mine.safetensors")
-    loaded = load_policy(tmp_path / "mine.safetensors")
-    assert (loaded.defender, loaded.knobs, loaded.notes) == ("prbi", {"max_frames": FRAMES}, policy.notes)
-    observations = np.random.default_rng(0).uniform(-1, 1, (7, *model.observation_space.shape)).astype(np.float32)
-    expected, _ = model.predict(observations, deterministic=True)
-    np.testing.assert_allclose(loaded(observations), expected, atol=1e-6)
-    drawn = loaded(observations, np.random.default_rng(0))
-    assert (np.abs(drawn) <= 1).all() and not np.allclose(drawn, expected)
-    with pytest.raises(ValueError, match="reads observations of"):
-        loaded(observations[:, :-1])
-
-
-def test_a_checkpoint_brings_back_network_optimiser_and_clock(bank: SceneBank, tmp_path: Path) -> None:
-    model, fresh = _learner(bank, 0), ppo.make_ppo(_env(bank), 5)
-    ppo.save_checkpoint(model, tmp_path / "checkpoint.pt")
-    ppo.load_checkpoint(fresh, tmp_path / "checkpoint.pt")
-    assert fresh.num_timesteps == model.num_timesteps > 0
-    before, after = model.policy.state_dict(), fresh.policy.state_dict()
-    assert all(torch.equal(before[key], after[key]) for key in before)
-    moments = fresh.policy.optimizer.state_dict()["state"]
-    assert moments and all(
-        torch.equal(v["exp_avg"], model.policy.optimizer.state_dict()["state"][k]["exp_avg"])
-        for k, v in moments.items()
-    )
-    (tmp_path / "checkpoint.pt").write_bytes(b"torn")
-    with pytest.raises(ValueError, match=r"checkpoint\.pt.*delete it"):
-        ppo.load_checkpoint(fresh, tmp_path / "checkpoint.pt")
-
-
-def test_holdout_keeps_the_best_policy_and_a_checkpoint(bank: SceneBank, tmp_path: Path) -> None:
-    knobs = {"n_attackers": K, "max_frames": FRAMES}
-    game = Game(2, bank=bank, observation="compact", **knobs)
-    holdout = ppo.Holdout(game, bank.source.names(), tmp_path, defender="prbi", knobs=knobs, every=1, seed=0)
-    model = ppo.make_ppo(_env(bank), 0, n_steps=FRAMES, batch_size=6, n_epochs=1)
-    model.learn(2 * FRAMES * 2 * K, callback=[ppo.FrameDamage(), holdout])
-    assert holdout.best is not None and (tmp_path / "checkpoint.pt").exists()
-    kept = load_policy(tmp_path / "policy.safetensors")
-    assert kept.notes == holdout.best.notes
-    again = episodes.play(game, episodes.by_policy(kept), bank.source.names(), seed=0)
-    assert again.damage.mean() == pytest.approx(kept.notes["holdout_damage"], rel=1e-6)
-
-
-def test_every_player_meets_the_same_episodes(bank: SceneBank) -> None:
-    import agents
-
-    game = Game(1, "none", bank=bank, max_frames=FRAMES)
-    honest = episodes.play(game, episodes.by_attacker(agents.make("none")), bank.source.names(), seed=0)
-    assert honest.damage.tolist() == [0.0, 0.0] and honest.frames.tolist() == [FRAMES] * 2
-    assert honest.excluded.tolist() == [0.0, 0.0]
-    observed = []
-
-    def spy(game: Game, observations: Any, streams: Any) -> episodes.Move:
-        observed.append(
-            (observations.tobytes() if isinstance(observations, np.ndarray) else None, game.world.attackers.tolist())
-        )
-        return episodes.by_chance(game, observations, streams)
-
-    for _ in range(2):
-        episodes.play(game, spy, bank.source.names(), seed=0)
-    assert observed[:2] == observed[2:]
-    with pytest.raises(ValueError, match="fill batches"):
-        episodes.play(Game(3, bank=bank), spy, bank.source.names(), seed=0)
-
-
-def test_some_scenes_of_a_source() -> None:
-    source = ToySource()
-    assert Some(source, 2).names() == source.names() and Some(source, 1).names() == source.names()[:1]
-    assert Some(source, 1).digest == source.digest  # encoded once for both
-    with pytest.raises(ValueError, match="1 to 2"):
-        Some(source, 3)
-
-
-@pytest.mark.parametrize("content", [None, b"torn"])
-def test_broken_policy_files_are_named(content: bytes | None, tmp_path: Path) -> None:
-    path = tmp_path / "mine.safetensors"
-    if content is not None:
-        path.write_bytes(content)
-    with pytest.raises(ValueError, match=r"mine\.safetensors"):
-        load_policy(path)
-    with pytest.raises(ValueError, match="unknown policy 'nobody'"):
-        load_policy("nobody")
-
-
-def test_shipped_policies_are_small_and_load() -> None:
-    for name in policy_names():
-        policy = load_policy(name)
-        assert policy.knobs and sum(weight.numel() for weight in policy.weights) < 50_000
+def test_joint_features_are_laid_end_to_end(bank: SceneBank) -> None:
+    env = _env(bank, joint=True, observation="features")
+    env.seed(0)
+    observations = env.reset()
+    assert isinstance(observations, dict)
+    assert all(env.observation_space[key].contains(value[0]) for key, value in observations.items())
