@@ -59,6 +59,12 @@ def _noise(**knobs: Any) -> Attacker:
     return Noise(**knobs)
 
 
+def _random(**knobs: Any) -> Attacker:
+    from agents.chance import Chance
+
+    return Chance(**knobs)
+
+
 def _none(**knobs: Any) -> Attacker:
     from agents.noise import Silence
 
@@ -68,6 +74,7 @@ def _none(**knobs: Any) -> Attacker:
 _ATTACKERS: dict[str, Callable[..., Attacker]] = {
     "none": _none,
     "noise": _noise,
+    "random": _random,
     "pgd": _pgd,
     "bim": _bim,
     "mi_fgsm": _mi_fgsm,

@@ -15,7 +15,7 @@ from cp_env.world import Situation
 
 @dataclass
 class Chance:
-    """Every number of every liar's action is drawn anew each frame, from U[-1, 1]; `action` as in `cp_env.parallel_env`."""
+    """Every number of every liar's action is drawn anew each frame, from U[-1, 1]; `action` is the map's name."""
 
     action: str = "guided"
     _map: ActionMap | None = field(default=None, init=False, repr=False)

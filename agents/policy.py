@@ -64,7 +64,7 @@ class Policy:
         Raises ValueError for observations that are not those of the environment it was trained in.
         """
         told = np.asarray(observations, dtype=np.float32)
-        shape = told.shape[:-2] + (-1,) if self.joint else told.shape
+        shape = (*told.shape[:-2], -1) if self.joint else told.shape
         hidden = torch.from_numpy(told.reshape(shape))
         if hidden.shape[-1] != self.n_inputs:
             raise ValueError(
@@ -96,7 +96,7 @@ def save_policy(policy: Policy, path: Path) -> None:
     about = {name: getattr(policy, name) for name in ABOUT} | {"format": FORMAT}
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_suffix(".part")
-    save_file(tensors, partial, metadata={key: json.dumps(value) for key, value in about.items()})
+    save_file(tensors, partial, metadata={"about": json.dumps(about)})  # one entry: several come in any order
     partial.replace(path)
 
 
@@ -118,6 +118,7 @@ def load_policy(name: str | Path) -> Policy:
     try:
         with safe_open(path, framework="pt") as file:
             about = {key: json.loads(value) for key, value in (file.metadata() or {}).items()}
+            about = about.get("about", about)  # the first format had an entry for each
             tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 (not a dict)
     except (SafetensorError, OSError, json.JSONDecodeError) as error:
         raise ValueError(f"cannot read the policy in {path}: {error}; the file is broken") from error

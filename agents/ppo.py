@@ -9,6 +9,7 @@ import torch
 from stable_baselines3 import PPO
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecEnv
+from torch import Tensor
 
 from agents.memory import Memory
 from agents.policy import MEMORY, Policy
@@ -36,15 +37,15 @@ def make_ppo(env: VecEnv, seed: int, *, recurrent: bool = False, **knobs: Any) -
 
     Raises ValueError if a recurrent one is asked for and sb3-contrib is not installed.
     """
-    knobs = {"seed": seed, "device": "cpu"} | PPO_KNOBS | knobs
+    knobs = PPO_KNOBS | knobs
     if not recurrent:
-        return PPO("MlpPolicy", env, policy_kwargs=NETWORK, **knobs)
+        return PPO("MlpPolicy", env, policy_kwargs=NETWORK, seed=seed, device="cpu", **knobs)
     try:
         from sb3_contrib import RecurrentPPO
     except ImportError as error:
         raise ValueError("a recurrent policy is learned by sb3-contrib: pip install 'cp-env[recurrent]'") from error
     network = NETWORK | {"lstm_hidden_size": MEMORY_SIZE}
-    return RecurrentPPO("MlpLstmPolicy", env, policy_kwargs=network, **knobs)
+    return RecurrentPPO("MlpLstmPolicy", env, policy_kwargs=network, seed=seed, device="cpu", **knobs)
 
 
 def adopt(model: OnPolicyAlgorithm, policy: Policy) -> None:
@@ -53,7 +54,7 @@ def adopt(model: OnPolicyAlgorithm, policy: Policy) -> None:
     Raises ValueError if the policy has another shape than the learner's actor.
     """
     layers, lstm = _layers(model), getattr(model.policy, "lstm_actor", None)
-    pairs = [(model.policy.log_std, policy.log_std)]
+    pairs: list[tuple[Tensor, Tensor]] = [(model.policy.log_std, policy.log_std)]
     pairs += [(layer.weight, weight) for layer, weight in zip(layers, policy.weights, strict=True)]
     pairs += [(layer.bias, bias) for layer, bias in zip(layers, policy.biases, strict=True)]
     if lstm is not None and policy.memory is not None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import multiprocessing
 import shutil
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, wait
 from dataclasses import asdict, dataclass, fields, replace
 from itertools import product
@@ -84,7 +84,7 @@ def plan_sweep(
 
 
 def sweep(runs: Sequence[Run], workers: int) -> Iterator[int]:
-    """Train them all, `workers` at a time, one torch thread each; hands out the frames learned from so far, now and then.
+    """Train them all, `workers` at a time, one torch thread each; hands out the frames learned from, now and then.
 
     A run that is finished is not trained again, one that was killed goes on.
     """
@@ -143,13 +143,10 @@ class Line:
     strongest: bool  # it holds the policy that is kept
 
     def row(self) -> str:
-        damage, excluded = t_interval(self.damage), t_interval(self.excluded)
-        mark = " (kept)" if self.strongest else ""
-        most = max(self.damage)
-        return (
-            f"| {self.defender} | {self.configuration}{mark} | {len(self.seeds)} | {format(damage, '.1f')} | {most:.1f} "
-            f"| {format(excluded, '.2f')} |"
-        )
+        damage, excluded = t_interval(list(self.damage)), t_interval(list(self.excluded))
+        name = f"{self.configuration}{' (kept)' if self.strongest else ''}"
+        figures = f"{format(damage, '.1f')} | {max(self.damage):.1f} | {format(excluded, '.2f')}"
+        return f"| {self.defender} | {name} | {len(self.seeds)} | {figures} |"
 
 
 def summarise(runs: Sequence[Run]) -> list[Line]:

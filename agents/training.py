@@ -94,7 +94,7 @@ class Recipe:
 
 
 def train(
-    recipe: Recipe, folder: Path, *, tensorboard: bool = False, tell: Callable[[int], None] = lambda frames: None
+    recipe: Recipe, folder: Path, *, tensorboard: bool = False, tell: Callable[[int], object] = lambda frames: None
 ) -> list[Look]:
     """Follow the recipe, from the last checkpoint in `folder` if there is one; the learning curve.
 
@@ -117,12 +117,16 @@ def train(
     elif recipe.begin is not None:
         adopt(model, load_policy(recipe.begin))
     holdout = Holdout(_held_back(recipe), _exporter(recipe), folder, every=recipe.every, per_frame=env.n_seats)
-    tick = ConvertCallback(lambda _locals, _globals: tell(model.num_timesteps // env.n_seats) is None)
+
+    def tick(variables: dict[str, Any], _: dict[str, Any]) -> bool:
+        tell(variables["self"].num_timesteps // env.n_seats)
+        return True
+
     steps = recipe.segment * env.n_seats
     for number in range(model.num_timesteps // steps, recipe.n_segments):
         model.set_env(monitored, force_reset=True)
         model.set_random_seed(int(np.random.SeedSequence([recipe.seed, number]).generate_state(1)[0]))
-        model.learn(steps, callback=[FrameDamage(), holdout, tick], reset_num_timesteps=False)
+        model.learn(steps, callback=[FrameDamage(), holdout, ConvertCallback(tick)], reset_num_timesteps=False)
         save_checkpoint(model, checkpoint)
     return holdout.curve
 

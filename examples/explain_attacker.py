@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from dataclasses import dataclass, field, fields
+from typing import Any
 
 import numpy as np
 import torch
@@ -19,11 +20,10 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from agents.episodes import begin
 from agents.policy import Policy, load_policy, policy_names
-from agents.scenes import Some
+from agents.training import open_bank
 from cp_env.action import Guidance
-from cp_env.game import Game
+from cp_env.evaluation import Cell, Protocol, Stage
 from cp_env.world import Outcome
 
 MOMENTS = ("calm", "alarmed", "sure")
@@ -62,34 +62,45 @@ def moments(outcome: Outcome | None, worlds: int) -> list[str]:
     return ["sure" if s else "alarmed" if a else "calm" for s, a in zip(sure, alarmed, strict=True)]
 
 
-def watch(policy: Policy, game: Game, args: Args) -> dict[str, list[np.ndarray]]:
+@dataclass(frozen=True)
+class Overheard:
+    """A policy, with what it played last."""
+
+    policy: Policy
+    played: list[np.ndarray] = field(default_factory=lambda: [np.empty(0)])
+
+    @property
+    def knobs(self) -> dict[str, Any]:
+        return self.policy.knobs
+
+    def __call__(self, observations: np.ndarray) -> np.ndarray:
+        self.played[0] = self.policy(observations)
+        return self.played[0]
+
+
+def watch(policy: Policy, args: Args) -> dict[str, list[np.ndarray]]:
     """Every slot's guidance (8 numbers, in their units) in every frame, by moment; grace frames are left out."""
-    extent = game.world.detector.extent
-    observations = begin(game, game.world.bank.source.names(), args.seed)
+    bank, told = open_bank(args.scenes, args.n_scenes), Overheard(policy)
+    names, frames = bank.source.names(), policy.knobs["max_frames"]
+    protocol = Protocol(scenes=bank.source, names=names, frames=frames, n_vehicles=policy.knobs["n_vehicles"])
+    stage = Stage(Cell(policy.defender, "policy", policy.knobs["n_attackers"], args.seed, names), protocol, bank, told)
     played: dict[str, list[np.ndarray]] = defaultdict(list)
     outcome: Outcome | None = None
-    for frame in range(game.settings.max_frames):
-        actions = policy(observations)
-        guidance = Guidance.read(torch.from_numpy(actions), extent)
+    for frame in range(frames):
+        before, outcome = outcome, stage.move()
+        guidance = Guidance.read(torch.from_numpy(told.played[0]), stage.world.detector.extent)
         numbers = np.stack([getattr(guidance, f.name).numpy() for f in fields(Guidance)], axis=-1)
-        if frame >= game.settings.grace_frames:
-            for moment, slots in zip(moments(outcome, game.num_envs), numbers, strict=True):
+        if frame >= protocol.grace_frames:
+            for moment, slots in zip(moments(before, len(names)), numbers, strict=True):
                 played[moment] += list(slots)
-        observations, *_ = game.step(actions)
-        outcome = game.outcome
     return played
 
 
 def main(args: Args) -> None:
     torch.set_num_threads(1)
-    policies = [load_policy(name) for name in args.policies]
-    source = Some(args.scenes, args.n_scenes)
-    bank = None
     console = Console()
-    for name, policy in track(list(zip(args.policies, policies, strict=True)), "playing"):
-        game = Game(args.n_scenes, policy.defender, scenes=source, bank=bank, **policy.knobs)
-        bank = game.world.bank
-        played = watch(policy, game, args)
+    for name in track(args.policies, "playing"):
+        played = watch(load_policy(name), args)
         total = sum(len(rows) for rows in played.values())
         table = Table("number", *MOMENTS, title=f"{name}: mean ± deviation over slots and frames")
         table.add_row("share of frames", *(f"{len(played[moment]) / total:.0%}" for moment in MOMENTS))

@@ -1,14 +1,16 @@
-"""Play learned attackers on traffic they never saw, beside random actions and PGD on every frame: a table and a GIF.
+"""What every attacker costs each defender on traffic nobody trained on: scripted ones, and the policies that ship.
 
-python examples/play_attacker.py                                   # the policy that ships with the package
-python examples/play_attacker.py --policies runs/prbi-*/policy.safetensors
+    python examples/play_attacker.py                                   # every defender a policy ships for
+    python examples/play_attacker.py --defenders prbi --policies runs/prbi-*/policy.safetensors
+    python examples/play_attacker.py --defenders prbi --gif-frames 100
+
+Each attacker's episodes are kept in a file under --out; started again, it goes on with those that are missing.
 """
 
 from __future__ import annotations
 
 import json
-import operator
-from collections.abc import Callable
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
@@ -17,112 +19,118 @@ import torch
 import tyro
 from rich.console import Console
 from rich.progress import track
-from rich.table import Table
 
 import agents
-from agents.episodes import Episodes, Player, begin, by_attacker, by_chance, by_policy, play
-from agents.policy import Policy, load_policy, policy_names
-from agents.scenes import Some
-from cp_env.camera import Camera
-from cp_env.game import Game
-from cp_env.intervals import Interval, t_interval
+from agents.episodes import Episodes, play
+from agents.policy import load_policy, policy_names
+from agents.sweep import slug
+from agents.training import open_bank
+from cp_env.evaluation import Attacker, Cell, Learned, Protocol, parse
+from cp_env.evaluation.film import film
+from cp_env.intervals import t_interval
 from cp_env.rendering import write_gif
 
-HEADINGS = {
-    "damage per episode": "damage",
-    "liars left out": "excluded",
-    "similarity": "similarity",
-    "verifications a frame": "verifications",
-}
+HEADINGS = {"damage per episode": "damage", "liars left out": "excluded", "looks a frame": "verifications"}
+SHIPPED = {name: load_policy(name).defender for name in policy_names()}
 
 
 @dataclass
 class Args:
-    policies: list[str] = field(default_factory=lambda: [name for name in policy_names() if name.startswith("prbi-")])
-    """names of shipped policies, or .safetensors files: the training seeds of one recipe"""
+    defenders: list[str] = field(default_factory=lambda: sorted(set(SHIPPED.values())))
+    """whom they meet"""
+    attackers: list[str] = field(default_factory=lambda: ["none", "random", "pgd"])
+    """scripted ones: names of agents.names(), with knobs if need be"""
+    policies: list[str] = field(default_factory=list)
+    """learned ones, names or .safetensors files; if none is given, those that ship for the defender"""
     scenes: str = "town/test"
-    n_scenes: int = 15
+    n_scenes: int = 9
     """how many of them, one episode each"""
-    worlds: int = 5
-    """worlds stepped together; divides n_scenes"""
+    batch: int = 9
+    """worlds stepped together"""
+    frames: int = 50
+    """length of an episode"""
+    k: int = 2
+    """liars of five vehicles"""
     seed: int = 0
-    """of the liars and of all noise, the same for every attacker"""
+    """of starts, liars and noise, the same for every attacker"""
     out: Path = Path("runs/play")
-    """folder of attackers.json and attacker.gif"""
-    gif_frames: int = 100
-    """length of the GIF; 0 for none"""
+    """folder of episodes, attackers.json and attackers.md"""
+    gif_frames: int = 0
+    """also film the strongest policy against the first defender"""
 
 
 def main(args: Args) -> None:
     torch.set_num_threads(1)
-    policies = [load_policy(name) for name in args.policies]
-    _agree(policies)
-    source = Some(args.scenes, args.n_scenes)
-    scenes = source.names()
-    game = Game(args.worlds, policies[0].defender, scenes=source, **policies[0].knobs)
-    players: dict[str, list[Player]] = {
-        "nobody lies": [by_attacker(agents.make("none"))],
-        "random actions": [by_chance],
-        "PGD on every frame": [by_attacker(agents.make("pgd"))],
-        "PGD on whom the ego fused last": [by_attacker(agents.make("pgd", audience="fused"))],
-        "PPO": [by_policy(policy) for policy in policies],
-    }
-    jobs = [(name, player) for name, row in players.items() for player in row]
-    played: dict[str, list[Episodes]] = {name: [] for name in players}
-    for name, player in track(jobs, "playing"):
-        played[name].append(play(game, player, scenes, args.seed))
-    args.out.mkdir(parents=True, exist_ok=True)
-    _report(played, policies[0].defender, args)
-    if args.gif_frames:
-        best = max(policies, key=lambda policy: policy.notes.get("holdout_damage", 0.0))
-        _film(best, game, scenes[-1], args)
-
-
-def _agree(policies: list[Policy]) -> None:
-    if any((p.defender, p.knobs) != (policies[0].defender, policies[0].knobs) for p in policies):
-        raise ValueError(
-            "the policies were trained under different knobs or against different defenders; play them apart"
-        )
-
-
-def _report(played: dict[str, list[Episodes]], defender: str, args: Args) -> None:
-    """Intervals over training seeds where there are several, else over scenes; then PPO and the rest scene by scene."""
-    title = f"against {defender} on {args.n_scenes} scenes of {args.scenes}, 95 % intervals"
-    table = Table("attacker", "runs", *HEADINGS, title=title)
-    rows: dict[str, dict[str, object]] = {}
-    learned = np.mean([run.damage for run in played["PPO"]], axis=0)
-    for name, runs in played.items():
-        figures = [_interval(runs, operator.attrgetter(key)) for key in HEADINGS.values()]
-        table.add_row(
-            name, str(len(runs)), format(figures[0], ".1f"), *(format(figure, ".2f") for figure in figures[1:])
-        )
-        rows[name] = {key: asdict(figure) for key, figure in zip(HEADINGS.values(), figures, strict=True)}
-        rows[name]["damage by run and scene"] = [run.damage.tolist() for run in runs]
-        if name != "PPO":
-            rows[name]["PPO does more"] = asdict(t_interval(learned - runs[0].damage))
+    bank = open_bank(args.scenes, args.n_scenes)
+    protocol = Protocol(scenes=bank.source, names=bank.source.names(), frames=args.frames)
+    cells = [(defender, spec) for defender in args.defenders for spec in [*args.attackers, *learned(defender, args)]]
+    played = {(defender, spec): _play(defender, spec, protocol, args) for defender, spec in track(cells, "playing")}
+    text = "\n".join(line for defender in args.defenders for line in report(played, defender, args))
+    (args.out / "attackers.md").write_text(text + "\n")
+    (args.out / "attackers.json").write_text(
+        json.dumps([{"defender": d, "attacker": a, **_lists(e)} for (d, a), e in played.items()], indent=1)
+    )
     console = Console()
-    console.print(table)
-    for name in ("random actions", "PGD on every frame"):
-        more = t_interval(learned - played[name][0].damage)
-        console.print(f"PPO does {format(more, '.1f')} more damage per episode than {name} (paired by scene)")
-    (args.out / "attackers.json").write_text(json.dumps(rows, indent=1))
+    console.print(text, markup=False, highlight=False, soft_wrap=True)
+    if args.gif_frames:
+        defender = args.defenders[0]
+        cell = Cell(defender, best(learned(defender, args)), args.k, args.seed, protocol.names[-1:])
+        pictures = film(cell, protocol, bank, lambda name, **knobs: made(name, knobs), args.gif_frames)
+        console.print(f"wrote {write_gif(pictures, args.out / 'attacker.gif')}")
 
 
-def _interval(runs: list[Episodes], figure: Callable[[Episodes], np.ndarray]) -> Interval:
-    return t_interval([figure(run).mean() for run in runs] if len(runs) > 1 else figure(runs[0]))
+def learned(defender: str, args: Args) -> list[str]:
+    """Specs of the policies that meet a defender."""
+    return [f"policy:name={n}" for n in args.policies or [n for n, d in SHIPPED.items() if d == defender]]
 
 
-def _film(policy: Policy, game: Game, scene: str, args: Args) -> None:
-    single = Game(1, policy.defender, bank=game.world.bank, **policy.knobs)
-    move = by_policy(policy)(single, begin(single, [scene], args.seed), [])
-    camera, pictures = Camera(single.world), []
-    for _ in track(range(min(args.gif_frames, single.settings.max_frames)), "filming"):
-        outcome = move()
-        camera.watch(outcome)
-        pictures.append(camera.shoot())
-        if outcome.truncated[0]:
-            break
-    Console().print(f"wrote {write_gif(pictures, args.out / 'attacker.gif')}")
+def made(name: str, knobs: dict[str, object]) -> Attacker | Learned:
+    return load_policy(str(knobs["name"])) if name == "policy" else agents.make(name, **knobs)
+
+
+def best(policies: list[str]) -> str:
+    """The policy that did most damage on the scenes held back from its training, not on these."""
+    return max(policies, key=lambda spec: load_policy(str(parse(spec)[1]["name"])).notes["holdout_damage"])
+
+
+def _play(defender: str, spec: str, protocol: Protocol, args: Args) -> Episodes:
+    """The attacker's episodes, from the disk if they are there."""
+    asked = {"attacker": spec, **protocol.describe(), "k": args.k, "seed": args.seed, "batch": args.batch}
+    path = args.out / slug(defender) / f"{spec.replace(':', '-').replace('/', '_')}.json"
+    if path.exists():
+        stored = json.loads(path.read_text())
+        if stored["asked"] == asked:
+            return Episodes(**{key: np.array(values) for key, values in stored["episodes"].items()})
+    bank = open_bank(args.scenes, args.n_scenes)
+    episodes = play(made(*parse(spec)), protocol, bank, defender=defender, k=args.k, seed=args.seed, batch=args.batch)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_suffix(".part")
+    partial.write_text(json.dumps({"asked": asked, "episodes": _lists(episodes)}))
+    partial.replace(path)
+    return episodes
+
+
+def _lists(episodes: Episodes) -> dict[str, list[float]]:
+    return {key: values.tolist() for key, values in asdict(episodes).items()}
+
+
+def report(played: dict[tuple[str, str], Episodes], defender: str, args: Args) -> Iterator[str]:
+    """Markdown: 95 % intervals over scenes; then how much more the best policy does, paired by scene."""
+    yield f"\nAgainst {defender}, {args.n_scenes} scenes of {args.scenes}, {args.frames} frames, k = {args.k}:\n"
+    yield f"| attacker | {' | '.join(HEADINGS)} |"
+    yield f"|---|{'---|' * len(HEADINGS)}"
+    rows = {spec: episodes for (d, spec), episodes in played.items() if d == defender}
+    for spec, episodes in rows.items():
+        damage, *others = [t_interval(getattr(episodes, key)) for key in HEADINGS.values()]
+        yield f"| {spec} | {format(damage, '.1f')} | {' | '.join(format(figure, '.2f') for figure in others)} |"
+    policies = learned(defender, args)
+    if policies:
+        strongest = best(policies)
+        yield f"\n{strongest} was the strongest on its calibration scenes. Paired by scene, it does more damage than"
+        for spec in args.attackers:
+            more = t_interval(rows[strongest].damage - rows[spec].damage)
+            ratio = rows[strongest].damage.sum() / max(rows[spec].damage.sum(), 1e-9)
+            yield f"* {spec} by {format(more, '.1f')}" + (f", {ratio:.1f} times as much" if ratio < 1e6 else "")
 
 
 if __name__ == "__main__":

@@ -53,7 +53,8 @@ def main(args: Args) -> None:
         bank = open_bank(scenes, n_scenes)  # encoded here once, not by every worker
         for name in bank.source.names():
             bank.episode(name, args.recipe.n_vehicles, rsu=False)
-    with tqdm(total=sum(run.recipe.n_segments * run.recipe.segment for run in runs), unit="frame", desc="learning") as bar:
+    total = sum(run.recipe.n_segments * run.recipe.segment for run in runs)
+    with tqdm(total=total, unit="frame", desc="learning") as bar:
         for frames in sweep(runs, args.workers):
             bar.update(frames - bar.n)
     table = write_table(summarise(runs), args.out, {"recipe": asdict(args.recipe), "seeds": args.seeds})

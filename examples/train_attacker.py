@@ -31,7 +31,7 @@ def main(args: Args) -> None:
     torch.set_num_threads(1)
     out = args.out or Path("runs") / f"{args.recipe.defender}-{args.recipe.seed}"
     with tqdm(total=args.recipe.frames, unit="frame", desc="learning") as bar:
-        curve = train(args.recipe, out, tensorboard=True, tell=lambda frames: bar.update(frames - bar.n) and None)
+        curve = train(args.recipe, out, tensorboard=True, tell=lambda frames: bar.update(frames - bar.n))
     most = max(look["damage"] for look in curve)
     Console().print(f"most damage per episode on {args.recipe.holdout}: {most:.1f}")
     Console().print(f"the policy is in {out / 'policy.safetensors'}; play it with examples/play_attacker.py")

@@ -43,7 +43,7 @@ def files(folder: Path) -> dict[str, bytes]:
     return {name: (folder / name).read_bytes() for name in names}
 
 
-@pytest.mark.parametrize("knobs", [{}, {"joint": True, "knowledge": "white-box"}, {"recurrent": True}], ids=str)
+@pytest.mark.parametrize("knobs", [{}, {"joint": True, "knowledge": "white-box", "recurrent": True}], ids=str)
 def test_a_killed_run_goes_on_as_if_nothing_had_happened(tmp_path: Path, knobs: dict[str, object]) -> None:
     if "recurrent" in knobs:
         pytest.importorskip("sb3_contrib")
@@ -68,26 +68,21 @@ def test_a_killed_run_goes_on_as_if_nothing_had_happened(tmp_path: Path, knobs: 
 def test_more_frames_go_on_and_another_recipe_is_refused(tmp_path: Path) -> None:
     train(replace(SMALL, frames=6), tmp_path / "grown")
     assert train(SMALL, tmp_path / "grown") == train(SMALL, tmp_path / "whole")
-    with pytest.raises(ValueError, match="another gamma, seed; choose another folder|another seed, gamma"):
+    with pytest.raises(ValueError, match="another seed, gamma; choose another folder"):
         train(replace(SMALL, seed=1, gamma=0.5), tmp_path / "grown")
 
 
-def test_a_run_begins_where_a_policy_stands(tmp_path: Path) -> None:
+def test_a_run_begins_where_a_policy_stands(bank: SceneBank, tmp_path: Path) -> None:
     train(SMALL, tmp_path / "first")
     policy = load_policy(tmp_path / "first" / "policy.safetensors")
+    again = play(policy, protocol(bank), bank, defender="prbi")
+    assert again.damage.mean() == pytest.approx(policy.notes["holdout_damage"])
+    assert policy.notes["holdout_damage"] == max(look["damage"] for look in read_curve(tmp_path / "first"))
     assert (policy.defender, policy.joint, policy.knobs) == ("prbi", False, SMALL.knobs)
     frozen = replace(SMALL, begin=str(tmp_path / "first" / "policy.safetensors"), learning_rate=0.0, frames=6)
     train(frozen, tmp_path / "second")
     same = load_policy(tmp_path / "second" / "policy.safetensors")
     assert all((mine == theirs).all() for mine, theirs in zip(same.weights, policy.weights, strict=True))
-
-
-def test_the_policy_kept_is_the_one_that_did_most_damage(bank: SceneBank, tmp_path: Path) -> None:
-    curve = train(replace(SMALL, frames=24), tmp_path)
-    policy = load_policy(tmp_path / "policy.safetensors")
-    assert policy.notes["holdout_damage"] == max(look["damage"] for look in curve)
-    again = play(policy, protocol(bank), bank, defender="prbi")
-    assert again.damage.mean() == pytest.approx(policy.notes["holdout_damage"])
 
 
 def test_bad_recipes_are_refused() -> None:
@@ -98,19 +93,18 @@ def test_bad_recipes_are_refused() -> None:
 
 
 def plan(root: Path) -> list[Run]:
-    configurations = ["shared", "joint:joint=True,knowledge=white-box"]
-    return plan_sweep(SMALL, defenders=["prbi", "robosac"], configurations=configurations, seeds=[0, 1], root=root)
+    configurations = ["shared", "joint:joint=True,knowledge=white-box,frames=12"]
+    base = replace(SMALL, frames=6)
+    return plan_sweep(base, defenders=["prbi", "robosac"], configurations=configurations, seeds=[0], root=root)
 
 
 def test_a_sweep_killed_and_resumed_gives_the_same_table(tmp_path: Path) -> None:
     whole, killed = plan(tmp_path / "whole"), plan(tmp_path / "killed")
-    assert list(sweep(whole, 1))[-1] == 8 * 12
-    for _ in zip(range(3), sweep(killed, 1), strict=False):  # three runs, then nobody asks for more
-        pass
-    for run in killed[3:4]:
-        train(replace(run.recipe, frames=6), run.folder)  # the fourth was killed half-way
+    assert list(sweep(whole, 1)) == [6, 18, 24, 36]
+    assert next(sweep(killed, 1)) == 6  # one run, then nobody asks for more
+    train(replace(killed[1].recipe, frames=6), killed[1].folder)  # the next was killed half-way
     list(sweep(killed, 1))
-    tables = [write_table(summarise(runs), runs[0].root, {"seeds": [0, 1]}) for runs in (whole, killed)]
+    tables = [write_table(summarise(runs), runs[0].root, {"seeds": [0]}) for runs in (whole, killed)]
     assert tables[0] == tables[1] and tables[0].count("(kept)") == 2
     assert (tmp_path / "whole" / "sweep.json").read_bytes() == (tmp_path / "killed" / "sweep.json").read_bytes()
     lines = json.loads((tmp_path / "whole" / "sweep.json").read_text())["lines"]
