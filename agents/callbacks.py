@@ -12,6 +12,7 @@ from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 
 from agents.episodes import Episodes
 from agents.policy import Policy, save_policy
+from cp_env.evaluation.store import write_atomically
 
 LOOKED = ("damage", "similarity", "verifications", "excluded")
 
@@ -79,7 +80,7 @@ class Holdout(BaseCallback):
             policy.notes.update(holdout_damage=look["damage"], holdout_scenes=len(episodes.damage))
             save_policy(policy, self.folder / "policy.safetensors")
         self.curve.append(look)
-        _write(self.folder / "curve.json", self.curve)
+        write_atomically(self.folder / "curve.json", json.dumps(self.curve, indent=1))
 
 
 def read_curve(folder: Path) -> list[Look]:
@@ -87,12 +88,6 @@ def read_curve(folder: Path) -> list[Look]:
     path = folder / "curve.json"
     curve: list[Look] = json.loads(path.read_text()) if path.exists() else []
     return curve
-
-
-def _write(path: Path, curve: list[Look]) -> None:
-    partial = path.with_suffix(".part")
-    partial.write_text(json.dumps(curve, indent=1))
-    partial.replace(path)
 
 
 class FrameDamage(BaseCallback):

@@ -20,13 +20,15 @@ import tyro
 from rich.console import Console
 from rich.progress import track
 
-import agents
+from agents.arena.entries import make_attacker
 from agents.episodes import Episodes, play
 from agents.policy import load_policy, policy_names
 from agents.sweep import slug
 from agents.training import open_bank
-from cp_env.evaluation import Attacker, Cell, Learned, Protocol, parse
+from cp_env.evaluation import Cell, Protocol, parse
+from cp_env.evaluation.cells import file_words
 from cp_env.evaluation.film import film
+from cp_env.evaluation.store import write_atomically
 from cp_env.intervals import t_interval
 from cp_env.rendering import write_gif
 
@@ -75,17 +77,13 @@ def main(args: Args) -> None:
     if args.gif_frames:
         defender = args.defenders[0]
         cell = Cell(defender, best(learned(defender, args)), args.k, args.seed, protocol.names[-1:])
-        pictures = film(cell, protocol, bank, lambda name, **knobs: made(name, knobs), args.gif_frames)
+        pictures = film(cell, protocol, bank, make_attacker, args.gif_frames)
         console.print(f"wrote {write_gif(pictures, args.out / 'attacker.gif')}")
 
 
 def learned(defender: str, args: Args) -> list[str]:
     """Specs of the policies that meet a defender."""
     return [f"policy:name={n}" for n in args.policies or [n for n, d in SHIPPED.items() if d == defender]]
-
-
-def made(name: str, knobs: dict[str, object]) -> Attacker | Learned:
-    return load_policy(str(knobs["name"])) if name == "policy" else agents.make(name, **knobs)
 
 
 def best(policies: list[str]) -> str:
@@ -96,17 +94,17 @@ def best(policies: list[str]) -> str:
 def _play(defender: str, spec: str, protocol: Protocol, args: Args) -> Episodes:
     """The attacker's episodes, from the disk if they are there."""
     asked = {"attacker": spec, **protocol.describe(), "k": args.k, "seed": args.seed, "batch": args.batch}
-    path = args.out / slug(defender) / f"{spec.replace(':', '-').replace('/', '_')}.json"
+    path = args.out / slug(defender) / f"{file_words(spec)}.json"
     if path.exists():
         stored = json.loads(path.read_text())
         if stored["asked"] == asked:
             return Episodes(**{key: np.array(values) for key, values in stored["episodes"].items()})
     bank = open_bank(args.scenes, args.n_scenes)
-    episodes = play(made(*parse(spec)), protocol, bank, defender=defender, k=args.k, seed=args.seed, batch=args.batch)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_suffix(".part")
-    partial.write_text(json.dumps({"asked": asked, "episodes": _lists(episodes)}))
-    partial.replace(path)
+    name, knobs = parse(spec)
+    episodes = play(
+        make_attacker(name, **knobs), protocol, bank, defender=defender, k=args.k, seed=args.seed, batch=args.batch
+    )
+    write_atomically(path, json.dumps({"asked": asked, "episodes": _lists(episodes)}))
     return episodes
 
 
