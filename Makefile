@@ -11,7 +11,7 @@ TORCH := $(shell grep '^torch==' constraints.txt)
 DEVKIT := .venv-devkit
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: demo test lint bench devkit record clean
+.PHONY: demo test lint bench devkit sumo record clean
 .DEFAULT_GOAL := demo
 
 demo: $(READY) ## the small benchmark: a table on screen, out/demo/ on disk with the picture of one episode
@@ -35,8 +35,10 @@ devkit: $(READY) ## load exported scenes in the nuScenes devkit, in an environme
 	$(BIN)/python -m tests.devkit.expected out/devkit
 	$(DEVKIT)/bin/python tests/devkit/compare.py out/devkit
 
-record: $(READY) ## record the town's traffic anew, in out/recordings (needs the simulator, about 260 MB)
-	$(PIP) install -c constraints.txt -e '.[sumo]'
+sumo: $(READY) ## the traffic simulator, about 260 MB: its tests are skipped without it
+	$(PIP) install --quiet -c constraints.txt -e '.[sumo]'
+
+record: sumo ## record the town's traffic anew, in out/recordings
 	$(BIN)/python -m cp_env.scenes.record --out out/recordings --jobs $(WORKERS)
 
 clean: ## forget the virtual environment

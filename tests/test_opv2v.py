@@ -273,6 +273,8 @@ def damage(text: str, old: str, new: str) -> str:
     ("old", "new", "told"),
     [
         ("lidar_pose:", "lidar:", "lacks lidar_pose"),
+        ("vehicles: {}", "vehicles: [1, 2]", r"vehicles must be a table by number: got \[1, 2\]"),
+        ("vehicles: {}", "vehicles: !!python/object/apply:os.getcwd []", "is no YAML"),
         ("- 16.0\n", "- .nan\n", "lidar_pose must be 6 finite numbers"),
         ("- 16.0\n", "- sixteen\n", "sixteen"),
         ("lidar_pose:\n", "lidar_pose: [1, 2\n", "is no YAML"),

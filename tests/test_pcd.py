@@ -124,6 +124,8 @@ def test_missing_and_foreign_files_are_named(tmp_path: Path) -> None:
     for old, new, told in (
         (b"VERSION 0.7", b"VERSION 0.5", "its version is 0.5, this program reads 0.7"),
         (b"FIELDS x y z rgb", b"FIELDS u v z rgb", "without x, y and z"),
+        (b"POINTS 500", b"POINTS -5", "promises -5 points"),
+        (b"POINTS 500", b"POINTS 499", "promises 499 points in 1 rows of 500"),
         (b"DATA binary", b"DATA zipped", "known are ascii, binary"),
         (b"TYPE F F F F", b"TYPE F F F Q", "Q"),
         (b"SIZE 4 4 4 4", b"SIZE 4 4 4", "is no point cloud"),

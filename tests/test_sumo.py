@@ -18,7 +18,7 @@ import shapely
 from cp_env.scenes import open_source, streets, sumo_files
 from cp_env.scenes.broken import BrokenData
 from cp_env.scenes.layout import footprints
-from cp_env.scenes.sumo import LiveSumo
+from cp_env.scenes.sumo import CROWD, DRIVEN, LiveSumo, _quarter
 from cp_env.testing import check_scenes
 from cp_env.types import Scene
 
@@ -178,6 +178,29 @@ def test_processes_run_side_by_side(furnished: LiveSumo) -> None:
         scene = furnished.load(name)
         assert np.array_equal(pose, scene.pose, equal_nan=True) and np.array_equal(obstacles, scene.obstacles)
         assert np.array_equal(points, furnished.sweeps(scene, [50])[0][0].points)
+
+
+def _large(net: Path, seed: int) -> Scene:
+    return LiveSumo(net, seed=seed, warm_up=10.0).load("city-000000")
+
+
+def test_of_a_large_network_one_quarter_is_driven(tmp_path: Path) -> None:
+    """Twelve streets by twelve hold nine hundred vehicles; each seed takes another quarter, in whatever process."""
+    pytest.importorskip("libsumo", reason="needs the extra sumo")
+    sumo = pytest.importorskip("sumo", reason="needs the extra sumo")
+    net = tmp_path / "city.net.xml"
+    command = [f"{sumo.SUMO_HOME}/bin/netgenerate", "--grid", "--grid.number", "12", "--grid.length", "130"]
+    subprocess.run([*command, "-o", str(net), "--no-warnings"], check=True, capture_output=True)
+    city = streets.read(net, np.inf)
+    quarter = _quarter(city, np.random.default_rng(0))
+    full, driven = (sumo_files.PER_KM * sumo_files.lane_kilometres(part) for part in (city, quarter))
+    assert driven < 0.4 * full and full > 2 * CROWD
+    ends = np.concatenate([lane.shape for lane in quarter.lanes])
+    assert np.linalg.norm(ends - quarter.centre, axis=1).max() < DRIVEN
+    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
+        one, other = pool.map(_large, [net, net], [1, 2])
+    assert min(one.n_connected, other.n_connected) >= 5 and not same(one, other)
+    assert same(_large(net, 1), one)
 
 
 def test_buildings_take_the_place_of_houses(grid: Path, tmp_path: Path) -> None:

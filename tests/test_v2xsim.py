@@ -248,6 +248,10 @@ def _move_mast(root: Path) -> None:
 
 
 # damage that one scene suffers from: the other one can still be read
+def _again(records: list[dict[str, Any]]) -> None:
+    records.append(dict(records[0]))
+
+
 OF_A_SCENE: dict[str, tuple[Callable[[Path], Any], str, str]] = {
     "missing sweep": (lambda root: first_file(root).unlink(), "toy-0_000001.pcd.bin", "missing sweep"),
     "empty sweep": (lambda root: first_file(root).write_bytes(b""), "toy-0_000001.pcd.bin", "empty"),
@@ -274,6 +278,16 @@ OF_A_SCENE: dict[str, tuple[Callable[[Path], Any], str, str]] = {
         "'nobody', which is not there",
     ),
     "no ego pose": (lambda root: edit(root, "sample_data", _no_pose), "sample_data.json", "'nowhere'"),
+    "no size": (
+        lambda root: edit(root, "sample_annotation", _set("size", [1, -2, 1])),
+        "sample_annotation.json",
+        "size [1, -2, 1] is not positive",
+    ),
+    "two boxes": (
+        lambda root: edit(root, "sample_annotation", _again),
+        "sample_annotation.json",
+        "two boxes of one instance in frame 0",
+    ),
     "two sweeps": (lambda root: edit(root, "sample_data", _twice), "sample_data.json", "two sweeps"),
     "broken chain": (lambda root: edit(root, "sample", _set("next", "lost")), "sample.json", "breaks at 'lost'"),
     "short chain": (lambda root: edit(root, "sample", _set("next", "")), "sample.json", "1 of the scene's 2"),
@@ -319,6 +333,17 @@ OF_THE_SET: dict[str, tuple[Callable[[Path], Any], str, str]] = {
     "no scene": (lambda root: edit(root, "sample", _set("scene_token", "gone")), "sample.json", "'gone'"),
     "no sample": (lambda root: edit(root, "sample_data", _set("sample_token", "gone")), "sample_data.json", "'gone'"),
     "no category": (lambda root: edit(root, "instance", _set("category_token", "gone")), "instance.json", "'gone'"),
+    **{
+        f"twice in {table}": (lambda root, table=table: edit(root, table, _again), f"{table}.json", "two records have")
+        for table in ("sample", "sensor", "calibrated_sensor", "ego_pose", "instance", "category")
+    },
+    "two scenes of a name": (lambda root: edit(root, "scene", _again), "scene.json", "'toy-0'"),
+    "no record": (
+        lambda root: edit(root, "ego_pose", lambda records: records.insert(0, None)),  # type: ignore[arg-type]
+        "ego_pose.json",
+        "record 0 is None",
+    ),
+    "no token": (lambda root: edit(root, "instance", _set("token", [1])), "instance.json", "a token is [1]"),
     "unfit name": (lambda root: edit(root, "scene", _set("name", "../toy")), "scene.json", "'../toy'"),
     "other data": (
         lambda root: edit(root, "sensor", lambda records: [record.update(channel="LIDAR_TOP") for record in records]),

@@ -143,8 +143,10 @@ def _note(said: dict[str, Any]) -> Note:
     if "lidar_pose" not in said:
         raise KeyError("lacks lidar_pose")
     body, predicted = (_numbers(said, key, 6) if key in said else None for key in ("true_ego_pos", "predicted_ego_pos"))
-    vehicles = {}
-    for number, entry in (said.get("vehicles") or {}).items():
+    vehicles, listed_there = {}, said.get("vehicles") or {}
+    if not isinstance(listed_there, dict):
+        raise ValueError(f"vehicles must be a table by number: got {listed_there!r}")
+    for number, entry in listed_there.items():
         if not isinstance(entry, dict):
             raise ValueError(f"vehicle {number} is {entry!r}, not a table")
         listed = [_numbers(entry, key, 3, f"vehicle {number}: ") for key in ("location", "angle", "center", "extent")]

@@ -92,7 +92,11 @@ def _header(content: bytes) -> tuple[Header, memoryview]:
     ]
     if said["DATA"][0] not in ("ascii", "binary", "binary_compressed"):
         raise ValueError(f"its data are {said['DATA'][0]!r}, known are ascii, binary and binary_compressed")
-    return Header(np.dtype(columns), int(said["POINTS"][0]), said["DATA"][0]), memoryview(content)[start:]
+    points = int(said["POINTS"][0])
+    width, height = int(said.get("WIDTH", said["POINTS"])[0]), int(said.get("HEIGHT", ["1"])[0])
+    if points < 0 or width * height != points:
+        raise ValueError(f"its header promises {points} points in {height} rows of {width}")
+    return Header(np.dtype(columns), points, said["DATA"][0]), memoryview(content)[start:]
 
 
 def _axes(header: Header) -> list[tuple[str, int, int]]:

@@ -33,7 +33,7 @@ from cp_env.scenes.town import KINDS
 from cp_env.scenes.traffic import Tracks
 from cp_env.types import Scene, Sweep
 
-VERSION = 1
+VERSION = 2
 """Part of the digest: rises when the same files give other scenes."""
 
 SECONDS = 40.0  # s kept of each simulation, to choose the 20 s of a scene from
@@ -42,6 +42,8 @@ CASTS = 3  # tried at each place
 JUMP = 14.0  # m in a frame, 250 km/h: what moves farther was moved by SUMO
 AROUND = 270.0  # m: of a large network only what is so near to the place of the scene is looked at
 PLACES = 3  # tried in each simulation
+CROWD = 400  # vehicles: where more would drive through a bare network, they do so only round one place
+DRIVEN = 420.0  # m: so far from it
 _KEPT = 8  # scenes in memory
 
 
@@ -187,7 +189,9 @@ class LiveSumo:
         if self._files.config:
             command += ["-c", str(self._files.config), "--scale", str(self._density)]
         else:
-            crowd = max(self._least, round(self._density * sumo_files.PER_KM * sumo_files.lane_kilometres(network)))
+            if self._crowd(network) > CROWD:
+                network = _quarter(network, rng)
+            crowd = self._crowd(network)
             sizes = traffic.draw_sizes(traffic.N_TYPES, rng, parked=False)
             routes = folder / "trips.rou.xml"
             sumo_files.write_demand(routes, network, sizes, rng, crowd, self._warm_up + SECONDS)
@@ -195,9 +199,13 @@ class LiveSumo:
         warm_up = self._warm_up + rng.uniform(0, 30)
         return network, traffic.watch(command, warm_up=warm_up, seconds=SECONDS, jump=JUMP)
 
+    def _crowd(self, network: Streets) -> int:
+        return max(self._least, round(self._density * sumo_files.PER_KM * sumo_files.lane_kilometres(network)))
+
     def _focus(self, network: Streets, tracks: Tracks, rng: np.random.Generator) -> tuple[Streets, Tracks]:
         """What lies round one vehicle, drawn at random: a city is too much to search for a scene."""
         spots = tracks.pose[::25, :, :2][np.isfinite(tracks.pose[::25, :, 0])]
+        spots = spots[np.linalg.norm(spots - network.centre, axis=1) <= network.radius]
         if not len(spots):
             return network, tracks
         centre = spots[rng.integers(len(spots))]
@@ -222,3 +230,15 @@ class LiveSumo:
             if scene is not None:
                 return scene
         return None
+
+
+def _quarter(network: Streets, rng: np.random.Generator) -> Streets:
+    """What lies within `DRIVEN` of a street drawn at random: who drives farther off is never seen by a scene there."""
+    streets = [lane for lane in network.lanes if not lane.internal]
+    length = np.array([np.linalg.norm(np.diff(lane.shape, axis=0), axis=1).sum() for lane in streets])
+    centre = streets[rng.choice(len(streets), p=length / length.sum())].shape.mean(axis=0)
+    lanes = [lane for lane in network.lanes if (np.linalg.norm(lane.shape - centre, axis=1) < DRIVEN).all()]
+    edges = {lane.edge for lane in lanes if not lane.internal}
+    sources, sinks = ([edge for edge in ends if edge in edges] for ends in (network.sources, network.sinks))
+    radius = DRIVEN - AROUND
+    return replace(network, lanes=lanes, sources=sources, sinks=sinks, centre=centre, radius=radius)

@@ -140,7 +140,7 @@ def _tracks(
     A vehicle that SUMO moved elsewhere at once (a "teleport" out of a jam) goes on as another one.
     """
     rows: dict[str, int] = {}
-    pose = np.full((len(frames), 4 * len({name for frame in frames for name in frame}), 3), np.nan)
+    pose = np.full((len(frames), len({name for frame in frames for name in frame}), 3), np.nan)
     kinds: list[int] = []
     front: dict[str, tuple[float, float]] = {}
     axle: dict[str, tuple[float, float]] = {}
@@ -152,6 +152,8 @@ def _tracks(
             if name not in rows or t == 0 or name not in frames[t - 1] or _far(front[name], (x, y), jump):
                 rows[name] = len(kinds)
                 kinds.append(int(kind))
+                if len(kinds) > pose.shape[1]:
+                    pose = np.concatenate([pose, np.full_like(pose, np.nan)], axis=1)
             else:
                 yaw = np.arctan2(y - axle[name][1], x - axle[name][0])
             front[name] = x, y

@@ -13,6 +13,7 @@ import re
 import shutil
 import uuid
 from array import array
+from collections.abc import Container
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,7 @@ from cp_env.scenes import rigid
 from cp_env.scenes.broken import BrokenData
 from cp_env.scenes.v2xsim_tables import TABLES, Tables
 
-VERSION = 1
+VERSION = 2
 _CHANNEL = re.compile(r"LIDAR_TOP_id_(\d+)")
 _NAME = re.compile(r"[\w-][\w.-]*")
 
@@ -125,13 +126,22 @@ class _Builder:
                 self.tables.path(table), f"a record refers to {what} {token!r}, which is not there"
             ) from error
 
+    def _new(self, found: Container[str], token: Any, table: str) -> None:
+        """BrokenData unless this is the first record of that token."""
+        if not isinstance(token, str) or token in found:
+            raise BrokenData(
+                self.tables.path(table),
+                f"two records have the token {token!r}" if isinstance(token, str) else f"a token is {token!r}",
+            )
+
     def _scenes(self) -> None:
         table = list(self.tables.read("scene", "token", "name", "description", "first_sample_token"))
         self.names = [str(name) for _, name, _, _ in table]
-        wrong = next((name for name in self.names if not _NAME.fullmatch(name)), None)
-        if wrong is not None or len(set(self.names)) < len(table) or not table:
+        wrong = [name for k, name in enumerate(self.names) if not _NAME.fullmatch(name) or name in self.names[:k]]
+        if wrong or not table:
             raise BrokenData(
-                self.tables.path("scene"), f"scenes need names, all different and fit for a file name; got {wrong!r}"
+                self.tables.path("scene"),
+                f"scenes need names, all different and fit for a file name; got {wrong[0] if wrong else 'none'!r}",
             )
         self.descriptions = [str(text) for _, _, text, _ in table]
         self.scene_of = {token: number for number, (token, *_) in enumerate(table)}
@@ -143,6 +153,7 @@ class _Builder:
         counts = [0] * len(self.names)
         for token, owner, after, stamp in self.tables.read("sample", "token", "scene_token", "next", "timestamp"):
             scene = self._find(self.scene_of, owner, "sample", "scene")
+            self._new(following, token, "sample")
             following[token] = (scene, after, float(stamp) * 1e-6)
             counts[scene] += 1
         self.place: dict[str, tuple[int, int]] = {}  # of a sample: scene, frame
@@ -167,12 +178,16 @@ class _Builder:
 
     def _lidars(self) -> None:
         """Where each LiDAR is in each frame, and its file."""
-        channels = {token: str(channel) for token, channel in self.tables.read("sensor", "token", "channel")}
+        channels: dict[str, str] = {}
+        for token, channel in self.tables.read("sensor", "token", "channel"):
+            self._new(channels, token, "sensor")
+            channels[token] = str(channel)
         mounts: dict[str, tuple[int, Any, Any]] = {}
         for token, sensor, shift, turn in self.tables.read(
             "calibrated_sensor", "token", "sensor_token", "translation", "rotation"
         ):
             channel = _CHANNEL.fullmatch(self._find(channels, sensor, "calibrated_sensor", "sensor"))
+            self._new(mounts, token, "calibrated_sensor")
             if channel:
                 mounts[token] = (int(channel[1]), shift, turn)
         self.agents = 1 + max((agent for agent, _, _ in mounts.values()), default=-1)
@@ -191,7 +206,10 @@ class _Builder:
         self.world_T_sensor = [np.full((len(times), self.agents, 3, 4), np.nan) for times in self.times]
         self.base = [np.full((len(times), self.agents), np.nan) for times in self.times]
         self.files = [[[""] * self.agents for _ in times] for times in self.times]
+        met: set[str] = set()
         for token, shift, turn in self.tables.read("ego_pose", "token", "translation", "rotation"):
+            self._new(met, token, "ego_pose")
+            met.update({token} & shots.keys())
             for scene, frame, agent, mount, file in shots.pop(token, ()):
                 self._shot(scene, frame, agent, (shift, turn), mounts[mount][1:], file)
         for token, lost in shots.items():
@@ -211,11 +229,15 @@ class _Builder:
         self.files[scene][frame][agent] = file
 
     def _boxes(self) -> None:
-        names = {token: str(name) for token, name in self.tables.read("category", "token", "name")}
+        names: dict[str, str] = {}
+        for token, name in self.tables.read("category", "token", "name"):
+            self._new(names, token, "category")
+            names[token] = str(name)
         self.categories = tuple(sorted(set(names.values())))
         number = {name: k for k, name in enumerate(self.categories)}
         kind: dict[str, tuple[int, int]] = {}  # of an instance: its number, its category's
         for token, category in self.tables.read("instance", "token", "category_token"):
+            self._new(kind, token, "instance")
             kind[token] = (len(kind), number[self._find(names, category, "instance", "category")])
         where, box = array("q"), array("d")  # scene, frame, instance, category; the numbers as the table has them
         for sample, instance, middle, size, turn in self.tables.read(
@@ -229,6 +251,8 @@ class _Builder:
                 continue
             try:
                 numbers = _numbers(middle, 3) + _numbers(size, 3) + _numbers(turn, 4)
+                if min(numbers[3:6]) <= 0:
+                    raise ValueError(f"size {size} is not positive")
             except (ValueError, TypeError) as error:
                 self._fault(scene, "sample_annotation", f"a box in frame {self.place[sample][1]}: {error}")
                 continue
@@ -243,6 +267,11 @@ class _Builder:
             return
         mine = self.where[:, 0] == scene
         where, box = self.where[mine], self.box[mine]
+        met, times = np.unique(where[:, 1:3], axis=0, return_counts=True)
+        if (times > 1).any():
+            frame = met[times.argmax(), 0]
+            self._fault(scene, "sample_annotation", f"two boxes of one instance in frame {frame}")
+            return
         yaw = rigid.heading(rigid.rotation(box[:, 6:]))
         np.savez(
             self.out / f"{scene}.npz",

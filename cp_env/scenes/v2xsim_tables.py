@@ -75,9 +75,11 @@ class Tables:
         """
         path = self.path(name)
         for number, record in enumerate(self._records(path)):
+            if not isinstance(record, dict):
+                raise BrokenData(path, f"record {number} is {record!r}, not a table of fields")
             try:
                 yield [record[field] for field in fields]
-            except (KeyError, TypeError) as error:
+            except KeyError as error:
                 raise BrokenData(path, f"record {number} lacks {error}") from error
 
     def digest(self) -> str:
