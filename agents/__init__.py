@@ -53,33 +53,25 @@ def _cw(**knobs: Any) -> Attacker:
     return _ascent(CarliniWagner, {"random_start": False}, knobs)
 
 
-def _noise(**knobs: Any) -> Attacker:
-    from agents.noise import Noise
+TIMETABLE = ("every", "start", "duty")
 
-    return Noise(**knobs)
-
-
-def _random(**knobs: Any) -> Attacker:
-    from agents.chance import Chance
-
-    return Chance(**knobs)
-
-
-def _none(**knobs: Any) -> Attacker:
-    from agents.noise import Silence
-
-    return Silence(**knobs)
-
-
-_ATTACKERS: dict[str, Callable[..., Attacker]] = {
-    "none": _none,
-    "noise": _noise,
-    "random": _random,
+_ATTACKERS: dict[str, Callable[..., Attacker] | str] = {
+    "none": "agents.noise.Silence",
+    "noise": "agents.noise.Noise",
+    "random": "agents.chance.Chance",
     "pgd": _pgd,
     "bim": _bim,
     "mi_fgsm": _mi_fgsm,
     "cw": _cw,
+    "eot": "agents.eot.Eot",
+    "in_loop": "agents.in_loop.InLoop",
+    "ramp": "agents.ramp.ramp",
+    "poison": "agents.poison.poison",
+    "framing": "agents.framing.Framing",
+    "blind": "agents.blind.blind",
+    "sacrifice": "agents.sacrifice.sacrifice",
 }
+"""Makers, or where they are: an attacker's file is read when it is asked for."""
 
 
 def names() -> tuple[str, ...]:
@@ -91,7 +83,8 @@ def make(attacker: str | Attacker, **knobs: Any) -> Attacker:
     """The attacker of that name, with its knobs; an attacker object is handed back as it is.
 
     A name is one of `names()`, or says where to import a class or function of yours: "module:Class", or
-    "package.module.Class".
+    "package.module.Class". Any attacker takes a timetable besides its own knobs: `every`, `start` and `duty`, see
+    `agents.timing`.
 
     Raises ValueError for an unknown name, for knobs the attacker has not, and for knobs beside an object.
     """
@@ -99,20 +92,28 @@ def make(attacker: str | Attacker, **knobs: Any) -> Attacker:
         if knobs:
             raise ValueError(f"knobs go with a name, not with an attacker object; got {sorted(knobs)}")
         return attacker
-    factory = _named(attacker)
+    factory, timetable = _named(attacker), {knob: knobs.pop(knob) for knob in TIMETABLE if knob in knobs}
     try:
-        return factory(**knobs)
+        return _timed(factory(**knobs), timetable)
     except TypeError as error:
         raise ValueError(f"cannot build attacker {attacker!r} with {sorted(knobs)}: {error}") from error
 
 
+def _timed(attacker: Attacker, timetable: dict[str, Any]) -> Attacker:
+    if not timetable:
+        return attacker
+    from agents.timing import Timed
+
+    return Timed(attacker, **timetable)
+
+
 def _named(name: str) -> Callable[..., Attacker]:
-    if name in _ATTACKERS:
-        return _ATTACKERS[name]
-    module, _, attribute = name.replace(":", ".").rpartition(".")
+    known = _ATTACKERS.get(name, name)
+    if not isinstance(known, str):
+        return known
+    module, _, attribute = known.replace(":", ".").rpartition(".")
     if not module:
-        known = ", ".join(_ATTACKERS)
-        raise ValueError(f"unknown attacker {name!r}; known: {known}; or module:Class of yours")
+        raise ValueError(f"unknown attacker {name!r}; known: {', '.join(_ATTACKERS)}; or module:Class of yours")
     try:
         factory: Callable[..., Attacker] = getattr(import_module(module), attribute)
     except (ImportError, AttributeError) as error:

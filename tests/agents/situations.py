@@ -2,23 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import torch
 
 from agents.objective import Objective
-from agents.views import Audience, Goal, attack_loss, everyone, survey
-from cp_env.detector import Detector
+from agents.views import Audience, Goal, Views, attack_loss, everyone, survey
+from cp_env.detector import Dense, Detector
+from cp_env.detector.loss import Targets
+from cp_env.types import Detections, View
+from cp_env.verification import Judgement
 from cp_env.world import Situation
+from defenders.protocol import Verdict
 
 CHANNELS = 8
 SIZE = 16  # cells, half the detector's own: a quarter of the work
 
 
 def detector(seed: int = 0) -> Detector:
-    """A small frozen detector whose random decoder is lively enough to be attacked."""
+    """A small frozen detector whose random decoder is lively enough to be attacked; its maps are drawn, not encoded."""
     with torch.random.fork_rng():
         torch.manual_seed(seed)
         model = Detector(channels=CHANNELS)
@@ -26,6 +32,7 @@ def detector(seed: int = 0) -> Detector:
         with torch.no_grad():
             model.decoder.head.weight.mul_(30.0)
             model.decoder.head.bias.zero_()
+    model.encode = lambda sweeps: torch.zeros(len(sweeps), CHANNELS, SIZE, SIZE)  # type: ignore[method-assign]
     return model.freeze()
 
 
@@ -53,13 +60,19 @@ def situation(
         place=np.zeros((n_worlds, 2)),
         output=(None,) * n_worlds,
         verdict=(None,) * n_worlds,
-        rehearse=_no_defence,
+        rehearse=rehearse,
     )
     return replace(made, **overrides)
 
 
-def _no_defence(*_: Any) -> Any:
-    raise AssertionError("there is no world behind this situation in which a defence could be rehearsed")
+def views(situation: Situation) -> Views:
+    """Everyone's view, in every world."""
+    return survey(situation, everyone, torch.ones(len(situation.fused), dtype=torch.bool), joint=True)
+
+
+def dense(drawn: Targets, logit: float = 6.0, elsewhere: float = -8.0) -> Dense:
+    """A view that shows what is drawn."""
+    return Dense(torch.where(drawn.heat == 1, logit, elsewhere), drawn.boxes)
 
 
 def value(
@@ -75,10 +88,23 @@ def groups_of(groups: torch.Tensor) -> Audience:
     return lambda situation: (groups[:, None], torch.ones(len(groups), 1))
 
 
+def rehearse(delta: torch.Tensor, coins: Sequence[np.random.Generator]) -> Any:
+    """A defence that parts four vehicles at random, asks for both groups, fuses everyone and accuses nobody."""
+    judgements = []
+    for e, _ in enumerate(delta):
+        order = coins[e].permutation(4).tolist()
+        groups = frozenset(order[:2]), frozenset(order[2:])
+        nothing = Detections(np.zeros((0, 5)), np.zeros(0))
+        view = View(groups[0], 0, np.zeros(2), nothing, nothing, np.zeros((1, 1)))
+        judgements.append(Judgement(Verdict(range(4)), view, groups, 2))
+    return SimpleNamespace(judgements=tuple(judgements))
+
+
 def _world(seed: int, n_liars: int, n_maps: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     rng = np.random.default_rng(seed)
     features = rng.standard_normal((n_maps, CHANNELS, SIZE, SIZE), dtype=np.float32).clip(0)
     pose = np.concatenate([rng.uniform(-20, 20, (n_maps, 2)), np.zeros((n_maps, 1))], axis=1).astype(np.float32)
     pose[0] = 0
+    features[0, :, :, : SIZE // 2] = 0  # the ego sees nothing in the west
     attackers = np.sort(rng.choice(n_maps, n_liars, replace=False))
     return torch.from_numpy(features), torch.from_numpy(pose), torch.from_numpy(attackers)
