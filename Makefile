@@ -9,9 +9,11 @@ READY := .venv/.installed
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 TORCH := $(shell grep '^torch==' constraints.txt)
 DEVKIT := .venv-devkit
+LIBRARIES := rllib supersuit torchrl
+ALONE = .venv-$*/bin/python -m pip install --disable-pip-version-check --quiet --retries 1
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: demo test lint bench devkit sumo record clean
+.PHONY: demo test lint bench devkit docs libraries $(LIBRARIES:%=library-%) sumo record clean
 .DEFAULT_GOAL := demo
 
 demo: $(READY) ## the small benchmark: a table on screen, out/demo/ on disk with the picture of one episode
@@ -35,14 +37,27 @@ devkit: $(READY) ## load exported scenes in the nuScenes devkit, in an environme
 	$(BIN)/python -m tests.devkit.expected out/devkit
 	$(DEVKIT)/bin/python tests/devkit/compare.py out/devkit
 
+docs: ## the site, in out/site/, strict: no broken link, no page outside the menu; in an environment of its own
+	test -x .venv-docs/bin/python || $(PYTHON) -m venv .venv-docs
+	.venv-docs/bin/python -m pip install --disable-pip-version-check --quiet -r docs/requirements.txt
+	NO_MKDOCS_2_WARNING=1 .venv-docs/bin/mkdocs build --quiet
+
+libraries: $(LIBRARIES:%=library-%) ## train with other people's libraries, each in an environment of its own
+
+$(LIBRARIES:%=library-%): library-%: tests/libraries/%.txt ## one of them
+	test -x .venv-$*/bin/python || $(PYTHON) -m venv .venv-$*
+	$(ALONE) --no-deps $(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX)) $(TORCH)
+	$(ALONE) -r tests/libraries/$*.txt -e .
+	.venv-$*/bin/python -m pytest -W default tests/libraries/test_$*.py
+
 sumo: $(READY) ## the traffic simulator, about 260 MB: its tests are skipped without it
 	$(PIP) install --quiet -c constraints.txt -e '.[sumo]'
 
 record: sumo ## record the town's traffic anew, in out/recordings
 	$(BIN)/python -m cp_env.scenes.record --out out/recordings --jobs $(WORKERS)
 
-clean: ## forget the virtual environment
-	rm -rf .venv $(DEVKIT)
+clean: ## forget the virtual environments
+	rm -rf .venv $(DEVKIT) .venv-docs $(LIBRARIES:%=.venv-%)
 
 # torch first, by its exact version and without its dependencies: an open range would prefer the CUDA build.
 $(READY): pyproject.toml constraints.txt

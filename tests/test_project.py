@@ -112,36 +112,5 @@ def test_library_code_is_portable(file: Path) -> None:
             assert not re.match(r"/(home|root|work|tmp|usr|mnt)/", node.value), f"absolute path in line {node.lineno}"
 
 
-def python_blocks(file: str) -> list[str]:
-    return re.findall(r"```python\n(.*?)```", (ROOT / file).read_text(), re.DOTALL)
-
-
-def test_the_readme_s_python_runs(capsys: pytest.CaptureFixture[str]) -> None:
-    """Its blocks, in order, on six frames of a toy scene."""
-    from tests.toy import ToySource
-
-    names: dict[str, object] = {"source": ToySource(n_frames=6)}
-    for block in python_blocks("README.md"):
-        code = block.replace('scenes="town/test"', "scenes=source, max_frames=4")
-        exec(code.replace("Halves())", "Halves(), scenes=source, max_frames=4)"), names)
-    assert "verifications" in capsys.readouterr().out
-    picture, env = names["picture"], names["env"]
-    assert getattr(picture, "shape", ())[2:] == (3,)
-    env.reset(seed=0)  # type: ignore[attr-defined]
-    while env.agents:  # type: ignore[attr-defined]
-        env.step({agent: env.action_space(agent).high for agent in env.agents})  # type: ignore[attr-defined]
-
-
-@pytest.mark.parametrize("page", ["docs/write-your-own-defender.md"])
-def test_the_python_of_a_page_runs(page: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """Its blocks, in order, on a toy scene; a page's own assertions count."""
-    from tests.toy import ToySource
-
-    names: dict[str, object] = {"source": ToySource(n_frames=6)}
-    for block in python_blocks(page):
-        exec(block.replace('scenes="town/test"', "scenes=source"), names)
-    assert capsys.readouterr().out
-
-
 def test_the_changelog_tells_of_this_version() -> None:
     assert f"## [{PROJECT['project']['version']}]" in (ROOT / "CHANGELOG.md").read_text()
