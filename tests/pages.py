@@ -19,7 +19,7 @@ import tyro
 
 ROOT = Path(__file__).parent.parent
 FENCE = re.compile(r"^```(\w+)[^\n]*\n(.*?)^```", re.DOTALL | re.MULTILINE)
-INLINE = re.compile(r"`((?:python (?:examples/|-m )|make |cp-env )[^`\n]+)`")
+INLINE = re.compile(r"`((?:python (?:examples/|-m )|make |cp-env |cp-arena )[^`\n]+)`")
 IN_TESTS = re.compile(r"^(\s*\w+ = )[^#\n]+(#[^\n]*?)(\S+) in the tests$", re.MULTILINE)
 
 

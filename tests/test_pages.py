@@ -5,10 +5,12 @@ from __future__ import annotations
 import functools
 import inspect
 import re
+import sys
 import tomllib
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -105,7 +107,11 @@ def test_the_python_of_the_readme_runs(sketched: Path, capsys: pytest.CaptureFix
     names = run_page("README.md")
     assert "verifications" in capsys.readouterr().out
     assert names["picture"].shape[2:] == (3,) and names["damage"] > 0
-    assert type(names["env"].game.world.defenders[0]).__name__ == "Halves"
+    env = names["env"]
+    assert type(env.game.world.defenders[0]).__name__ == "Halves"
+    env.reset(seed=0)
+    while env.agents:
+        env.step({agent: env.action_space(agent).high for agent in env.agents})
 
 
 def test_numbers_for_the_tests() -> None:
@@ -133,8 +139,17 @@ def test_the_commands_of_a_page_can_be_given(page: str, monkeypatch: pytest.Monk
     """Programs exist, and take the arguments given; nothing is run."""
     for name in ("scenes", "scenes_export", "scenes_preview", "play", "check", "version"):
         monkeypatch.setattr(cli, name, _silent(getattr(cli, name)))
+    monkeypatch.setitem(sys.modules, "mine", _mine())
     for words in commands(page):
         _check(words)
+
+
+def _mine() -> ModuleType:
+    """The module that a reader was told to write, with the defender of that page."""
+    module = ModuleType("mine")
+    _, code = next(blocks("docs/write-your-own-defender.md", "python"))
+    exec(code, module.__dict__)
+    return module
 
 
 def _silent(function: Callable[..., None]) -> Callable[..., None]:
@@ -158,6 +173,8 @@ def _check(words: list[str]) -> None:
             compile(code, "-c", "exec")
         case ["python", file, *given]:
             accepts(import_module(file.removesuffix(".py").replace("/", ".")).Args, given)
+        case ["cp-arena", *given]:
+            accepts(import_module("agents.arena.cli").Args, given)
         case ["cp-env", *given]:
             _given_to_cp_env(given)
         case ["pip" | ".venv/bin/pip", "install", *given]:
