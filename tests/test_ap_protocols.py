@@ -140,7 +140,7 @@ def theirs(frames: list[Frame], iou: float) -> float:
 @pytest.mark.parametrize("seed", range(6))
 def test_coperception_agrees_with_a_twin_of_shapely_polygons(seed: int, iou: float) -> None:
     """Rotated boxes as polygons of shapely, and the protocol once more, a detection at a time."""
-    shapely = pytest.importorskip("shapely")
+    import shapely
 
     def overlap(a: np.ndarray, b: np.ndarray) -> float:
         one, other = (shapely.Polygon(corners(np.asarray(box, dtype=np.float64))) for box in (a, b))
@@ -178,7 +178,6 @@ def area(pooled: Sequence[tuple[float, bool]], n_truth: int) -> float:
 @pytest.mark.parametrize("seed", range(6))
 def test_strict_agrees_with_coco(seed: int, iou: float) -> None:
     """pycocotools on boxes along the axes: asked for its precision at every recall there is, its mean is the area."""
-    pytest.importorskip("pycocotools")
     frames = [(upright(boxes), scores, upright(truth)) for boxes, scores, truth in spread(drive(12, seed))]
     ours = average_precision([Detections(b, s) for b, s, _ in frames], [t for _, _, t in frames], iou)
     assert ours == pytest.approx(coco_ap(frames, iou), abs=1e-9)

@@ -114,7 +114,9 @@ def test_a_checkpoint_file_gives_the_same_detector(tmp_path: object) -> None:
     twin.save(state("mean"), path, optimizer_state_dict={"state": {}, "param_groups": [{"lr": 0.001}]}, loss=0.3)
     loaded = load_checkpoint(path)
     assert loaded.digest == detector().digest != detector("max").digest
-    assert loaded.digest != load_checkpoint(path, resampling="rotate-translate").digest
+    warped_otherwise = load_checkpoint(path, resampling="rotate-translate")
+    assert loaded.digest != warped_otherwise.digest
+    assert loaded.maps_digest == detector("max").maps_digest != warped_otherwise.maps_digest
     assert not any(parameter.requires_grad for parameter in loaded.parameters()) and not loaded.training
 
 

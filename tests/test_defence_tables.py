@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from cp_env import evaluation
 from cp_env.intervals import Interval
 from cp_env.metrics import ApMeter
 from cp_env.types import Detections
-from examples.reproduce import defence_tables
+from examples.reproduce import defence_pictures, defence_tables
 from examples.reproduce.paper_tables import ATTACKS, TABLE_3, TABLE_6, TABLE_7, TABLES, Line, PaperTable
 from tests.toy import ToySource
 
@@ -123,3 +124,29 @@ def test_a_table_is_played_printed_and_drawn(
     monkeypatch.setattr(evaluation.runner, "play", lambda *_: pytest.fail("played again"))
     defence_tables.main(args)
     assert capsys.readouterr().out == first
+
+
+def test_fig_2_shows_what_the_ego_acts_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    source = ToySource(n_frames=2)
+    args = defence_pictures.Args(
+        scenes=source,  # type: ignore[arg-type]
+        scene="toy-0",
+        frame=1,
+        fusions=("mean",),
+        attack="bim:steps=2",
+        defenders=("none", "ego_only"),
+        out=tmp_path,
+    )
+    defence_pictures.main(args)
+    data = json.loads((tmp_path / "defence_pictures.json").read_text())
+    honest, attacked, alone = data["panels"]
+    assert [panel["condition"] for panel in data["panels"]] == ["no attack", "BIM, no defence", "BIM, ego_only"]
+    assert honest["liars"] == [] and len(attacked["liars"]) == 2
+    assert (attacked["fused"], alone["fused"]) == ([0, 1, 2, 3, 4], [0])
+    assert honest["truth"] == attacked["truth"] == alone["truth"] and honest["seen"] != attacked["seen"]
+    assert len(honest["seen"]) == honest["ghosts"] + len(honest["truth"]) - honest["missed"]
+    assert (tmp_path / "defence_pictures.png").stat().st_size > 30_000
+    monkeypatch.setattr(defence_pictures, "play", lambda *_: pytest.fail("played again"))
+    defence_pictures.main(args)
+    with pytest.raises(ValueError, match=r"no scene 'toy-9'; known: toy-0, toy-1"):
+        defence_pictures.main(replace(args, scene="toy-9"))

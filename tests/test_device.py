@@ -16,6 +16,7 @@ import pytest
 import torch
 
 import agents
+from benchmarks import devices
 from cp_env.action import make_action
 from cp_env.bank import SceneBank
 from cp_env.detector import evaluate, train
@@ -172,3 +173,11 @@ def test_encoders_maps_and_figures_are_the_same_there(footage: list[Footage], tm
         with pretended():
             there = kept("meta"), report("meta")
     assert all(np.array_equal(a, b) for a, b in zip(here[0], there[0], strict=True)) and here[1] == there[1]
+
+
+def test_speed_is_measured_there_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(devices, "open_source", lambda _: ToySource(n_frames=2))
+    args = devices.Args(batch=1, steps=2, rounds=1)
+    with pretended():
+        speed = devices.measure("meta", "max", args)
+    assert (speed.device, speed.fusion) == ("meta", "max") and speed.views > 0 and speed.steps > 0
