@@ -75,11 +75,14 @@ def browser(profile: Path) -> Iterator[Browser]:
     driver = subprocess.Popen([DRIVER, "--port=0"], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     try:
         server = f"http://127.0.0.1:{_port(driver)}"
-        options = {"binary": CHROMIUM, "args": [*FLAGS, f"--user-data-dir={profile}"]}
+        options = {"binary": CHROMIUM, "args": [*FLAGS, f"--user-data-dir={profile}", "about:blank"]}
         wanted = {"goog:chromeOptions": options, "goog:loggingPrefs": {"browser": "ALL", "performance": "ALL"}}
         session = _send(f"{server}/session", {"capabilities": {"alwaysMatch": wanted}})["sessionId"]
         try:
-            yield Browser(f"{server}/session/{session}")
+            opened = Browser(f"{server}/session/{session}")
+            opened.run("return document.readyState")
+            opened.requests()  # those of its own first page
+            yield opened
         finally:
             _send(f"{server}/session/{session}", method="DELETE")
     finally:

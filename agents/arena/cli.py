@@ -30,7 +30,7 @@ import defenders
 from agents.arena.entries import make_attacker
 from agents.arena.progress import Bars, duel, spread
 from cp_env import evaluation
-from cp_env.evaluation.arena_report import write_html, write_markdown
+from cp_env.evaluation.arena_report import pictures, write_html, write_markdown
 from cp_env.evaluation.boards import Axes, Board, turns_of
 from cp_env.evaluation.cluster import joined
 from cp_env.evaluation.film import shoot
@@ -108,10 +108,11 @@ def play(args: Args, command: str, console: Console) -> Findings:
             bars.count("filming", shoot(found.worst, found.base.protocol, crew), len(found.worst))
     found = with_films(found)
     about = conditions(args, found, command)
-    paths = [write_html(found, args.out, about), write_markdown(found, args.out / "arena.md", about)]
+    drawn = pictures(found)
+    paths = [write_html(found, drawn, args.out, about), write_markdown(found, args.out / "arena.md", about)]
     paths += write_json(found, args.out, about)[:1]
     if args.page is not None:
-        paths.append(write_leaderboard(found, args.page, about))
+        paths.append(write_leaderboard(found, drawn, args.page, about))
     console.print("written:", *paths, soft_wrap=True)
     return found
 

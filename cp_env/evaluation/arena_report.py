@@ -65,9 +65,9 @@ def sheets(found: Findings) -> dict[str, Sheet]:
     return made | {f"curve-{curve.axis}": curve_sheet(curve) for curve in found.curves}
 
 
-def write_html(found: Findings, folder: Path, about: dict[str, Any]) -> Path:
-    """`arena.html`: everything in one file."""
-    drawn, tables = pictures(found), {name: html.table(sheet) for name, sheet in sheets(found).items()}
+def write_html(found: Findings, drawn: Mapping[str, str], folder: Path, about: dict[str, Any]) -> Path:
+    """`arena.html`: everything in one file, with the `pictures` that were drawn of it."""
+    tables = {name: html.table(sheet) for name, sheet in sheets(found).items()}
 
     def shown(name: str, alt: str) -> str:
         return html.plot(drawn[name], alt) if name in drawn else ""

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from cp_env.evaluation.arena_report import pictures, write_markdown
+from cp_env.evaluation.arena_report import write_markdown
 from cp_env.evaluation.findings import Findings
 from cp_env.evaluation.store import write_atomically
 
@@ -13,11 +14,11 @@ TITLES = {"defenders": "defenders", "attackers": "attackers", "ap50": "trade-off
 """Which picture stands under which table."""
 
 
-def write_leaderboard(found: Findings, page: Path, about: dict[str, Any]) -> Path:
-    """`page`, a Markdown file, and the folder of its name: pictures, and the worst episode of the best defender."""
+def write_leaderboard(found: Findings, drawn: Mapping[str, str], page: Path, about: dict[str, Any]) -> Path:
+    """`page`, a Markdown file, and the folder of its name: `pictures`, and the worst episode of the best defender."""
     folder, links = page.with_suffix(""), {}
     under = {picture: table for table, picture in TITLES.items()}
-    for name, svg in pictures(found).items():
+    for name, svg in drawn.items():
         write_atomically(folder / f"{name}.svg", svg)
         links[under.get(name, name)] = f"{folder.name}/{name}.svg"
     best = next((standing.entry for standing in found.defenders if standing.entry in found.worst), None)
