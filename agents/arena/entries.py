@@ -6,11 +6,17 @@ from typing import Any
 
 import agents
 from agents.policy import load_policy
+from agents.remembered import Remembered
 from cp_env.evaluation import Attacker, Learned
 from cp_env.evaluation.cells import outsider
 
 POLICY = "policy"
 """The name of learned attackers; the knob `name` says which: one that ships, or a `.safetensors` file."""
+
+UNTOLD = ("noise", "pgd", "bim", "mi_fgsm", "cw")
+"""Attacks that know of no defence: each process computes them once for all defenders that they meet in a row."""
+
+_held: dict[str, Remembered] = {}
 
 
 def make_attacker(name: str, /, **knobs: Any) -> Attacker | Learned:
@@ -29,7 +35,12 @@ def make_attacker(name: str, /, **knobs: Any) -> Attacker | Learned:
             f"unknown attacker {name!r}; known: {', '.join(agents.names())}, {POLICY}:name=…, or module:Class of yours"
         )
     try:
-        made: Any = load_policy(**knobs) if name == POLICY else agents.make(name, **knobs)
+        if name == POLICY:
+            made: Any = load_policy(**knobs)
+        elif name in UNTOLD and "audience" not in knobs:
+            made = _remembered(name, knobs)
+        else:
+            made = agents.make(name, **knobs)
     except TypeError as error:
         raise ValueError(f"cannot build attacker {name!r} with {sorted(knobs)}: {error}") from error
     if not isinstance(made, Attacker | Learned):
@@ -37,3 +48,13 @@ def make_attacker(name: str, /, **knobs: Any) -> Attacker | Learned:
             f"{name!r} built a {type(made).__name__}; an attacker has reset and act, a policy has knobs and is called"
         )
     return made
+
+
+def _remembered(name: str, knobs: dict[str, Any]) -> Remembered:
+    """That attacker with what it has answered so far; the one last made is kept."""
+    key = repr((name, sorted(knobs.items())))
+    if key not in _held:
+        made = Remembered(agents.make(name, **knobs))
+        _held.clear()
+        _held[key] = made
+    return _held[key]
