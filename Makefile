@@ -11,9 +11,12 @@ TORCH := $(shell grep '^torch==' constraints.txt)
 DEVKIT := .venv-devkit
 LIBRARIES := rllib supersuit torchrl
 ALONE = .venv-$*/bin/python -m pip install --disable-pip-version-check --quiet --retries 1
+LEADERBOARD ?= --n-scenes 3 --frames 10 --batch 3 --ks 2 1 3 4 --budgets 0.3 0.1 0.2 --side-attackers pgd \
+	--defenders none ego_only prbi prbi:threshold=calibrated robosac pasac:score=similarity bayes oracle \
+	--attackers none pgd noise policy:name=prbi-0 in_loop sacrifice blind ramp framing eot
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: demo test lint bench devkit docs libraries $(LIBRARIES:%=library-%) sumo record clean
+.PHONY: demo test lint bench devkit docs libraries $(LIBRARIES:%=library-%) ray leaderboard sumo record clean
 .DEFAULT_GOAL := demo
 
 demo: $(READY) ## the small benchmark: a table on screen, out/demo/ on disk with the picture of one episode
@@ -49,6 +52,12 @@ $(LIBRARIES:%=library-%): library-%: tests/libraries/%.txt ## one of them
 	$(ALONE) --no-deps $(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX)) $(TORCH)
 	$(ALONE) -r tests/libraries/$*.txt -e .
 	.venv-$*/bin/python -m pytest -W default tests/libraries/test_$*.py
+
+ray: $(READY) ## Ray, about 260 MB, to play the arena on a cluster: its tests are skipped without it
+	$(PIP) install --quiet -c constraints.txt -e '.[ray]'
+
+leaderboard: $(READY) ## play the arena and write docs/leaderboard.md
+	$(BIN)/cp-arena $(LEADERBOARD) --workers $(WORKERS) --out out/leaderboard --page docs/leaderboard.md
 
 sumo: $(READY) ## the traffic simulator, about 260 MB: its tests are skipped without it
 	$(PIP) install --quiet -c constraints.txt -e '.[sumo]'
