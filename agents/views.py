@@ -86,6 +86,7 @@ def survey(situation: Situation, audience: Audience, due: Bool[Tensor, " E"], *,
     Raises ValueError for an audience of the wrong shape, type or sign.
     """
     groups, weights = _checked(audience(situation), situation)
+    groups = groups & situation.present[:, None]
     inside = torch.take_along_dim(groups, situation.attackers[:, None], 2)  # [E, S, k]
     inside = inside & (weights > 0)[..., None] & due[:, None, None]
     if joint:
@@ -108,8 +109,8 @@ def survey(situation: Situation, audience: Audience, due: Bool[Tensor, " E"], *,
 
 
 def everyone(situation: Situation) -> Crowd:
-    """All that is fused before anyone is suspected: Eq. (1), by liars that know of no defence."""
-    return torch.ones_like(situation.fused)[:, None], situation.received.new_ones(len(situation.fused), 1)
+    """All present, who are fused before anyone is suspected: Eq. (1), by liars that know of no defence."""
+    return situation.present[:, None], situation.received.new_ones(len(situation.fused), 1)
 
 
 def fused(situation: Situation) -> Crowd:

@@ -28,9 +28,14 @@ class Frame:
 
     index: int
     n_vehicles: int
-    seen: View
+    seen: View  # of everyone present
     _previous: View | None = field(default=None, repr=False)  # the last output, which most defenders compare with
     _memo: dict[tuple[int, int], tuple[View, View, float]] = field(default_factory=dict, repr=False)
+
+    @property
+    def present(self) -> frozenset[int]:
+        """Whose maps are there in this frame."""
+        return self.seen.group
 
     def similarity(self, a: View, b: View) -> float:
         """Jaccard similarity of two views, PRBI Eq. (5); the older one is moved by the ego's motion first."""
@@ -90,6 +95,10 @@ class _Case:
     def everyone(self) -> frozenset[int]:
         return frozenset(range(self.frame.n_vehicles))
 
+    @property
+    def present(self) -> frozenset[int]:
+        return self.frame.present
+
     def advance(self) -> None:
         """Send the answers to the pending query; keep the next query or the verdict. A failure ends this case only."""
         try:
@@ -98,7 +107,7 @@ class _Case:
                 request = next(self.inspection)
             else:
                 assert self.query is not None
-                request = self.inspection.send([self.views[group] for group in self.query.groups])
+                request = self.inspection.send([self.views[group & self.present] for group in self.query.groups])
             self.query = self._checked(request)
         except StopIteration as stop:
             self._conclude(stop.value)
@@ -112,9 +121,10 @@ class _Case:
         if self.queries > self.defender.max_queries:
             raise ValueError(f"more than max_queries = {self.defender.max_queries} queries in one frame")
         for group in request.groups:
-            if not group or not group <= self.everyone:
+            if not group & self.present or not group <= self.everyone:
                 raise ValueError(
                     f"a group must hold one or more of the vehicles 0..{self.frame.n_vehicles - 1}, not {sorted(group)}"
+                    f"; present in this frame are {sorted(self.present)}"
                 )
         self.groups += request.groups
         self.verifications += len(request.groups) if request.verification else 0
@@ -123,10 +133,11 @@ class _Case:
     def _conclude(self, verdict: object) -> None:
         if not isinstance(verdict, Verdict):
             self._fail(f"inspect() must return a Verdict, not {type(verdict).__name__}")
-        elif not verdict.collaborators or not (verdict.collaborators | verdict.suspects) <= self.everyone:
+        elif not verdict.collaborators & self.present or not named(verdict) <= self.everyone:
             self._fail(
                 f"a verdict must fuse at least one of the vehicles 0..{self.frame.n_vehicles - 1} and accuse none but "
-                f"them, not fuse {sorted(verdict.collaborators)} and accuse {sorted(verdict.suspects)}"
+                f"them, not fuse {sorted(verdict.collaborators)} and accuse {sorted(verdict.suspects)}; present are "
+                f"{sorted(self.present)}"
             )
         else:
             self.verdict, self.query = verdict, None
@@ -138,6 +149,11 @@ class _Case:
     def close(self) -> None:
         if self.inspection is not None:
             self.inspection.close()
+
+
+def named(verdict: Verdict) -> frozenset[int]:
+    """Everyone a verdict speaks of."""
+    return verdict.collaborators | verdict.suspects
 
 
 def judge(frames: Sequence[Frame], defenders: Sequence[Defender], perceive: Perceive) -> list[Judgement]:
@@ -167,7 +183,8 @@ def judge(frames: Sequence[Frame], defenders: Sequence[Defender], perceive: Perc
 
 def _look(perceive: Perceive, wanted: Sequence[tuple[_Case, frozenset[int]]]) -> None:
     """Compute the views that are not there yet, all worlds in one call."""
-    missing = {(case.world, group): case for case, group in wanted if group not in case.views}
+    there = [(case, group & case.present) for case, group in wanted]
+    missing = {(case.world, group): case for case, group in there if group not in case.views}
     if missing:
         views = perceive(list(missing))
         for (pair, case), view in zip(missing.items(), views, strict=True):
@@ -179,7 +196,7 @@ def _judgement(case: _Case) -> Judgement:
     assert case.verdict is not None
     return Judgement(
         verdict=case.verdict,
-        output=case.views[case.verdict.collaborators],
+        output=case.views[case.verdict.collaborators & case.present],
         groups=tuple(case.groups),
         verifications=case.verifications,
         error=case.error,

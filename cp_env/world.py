@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +14,11 @@ from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
 
 import defenders
-from cp_env import channel, similarity
+from cp_env import channel, presence, similarity
 from cp_env.bank import Episode, SceneBank, ego_place, make_views, stack_kept, stack_maps
 from cp_env.detector.decoder import Dense
 from cp_env.detector.protocol import DetectorLike, at_side, open_detector
+from cp_env.presence import Absences
 from cp_env.scenes import open_source
 from cp_env.settings import Settings
 from cp_env.types import SceneSource, View
@@ -45,6 +46,7 @@ class Situation:
     fused: Bool[
         Tensor, "E N"
     ]  # whom the ego is expected to fuse: all, until a verdict that has converged leaves some out
+    present: Bool[Tensor, "E N"]  # whose maps are there; perturbations of others are dropped
     active: Bool[Tensor, " E"]  # False in grace frames: perturbations are dropped
     frame: Int[np.ndarray, " E"]  # since the episode began
     budget: float  # Δ
@@ -106,6 +108,7 @@ class _State:
     start: int = 0
     frame: int = 0  # since the episode began
     attackers: tuple[int, ...] = ()
+    absent: Absences = field(default_factory=dict)
     output: View | None = None
     verdict: Verdict | None = None
     error: str | None = None
@@ -166,7 +169,8 @@ class World:
     ) -> None:
         """Begin a new episode in `worlds` (all by default). A seed of None goes on with that world's own stream.
 
-        `options` may fix the "scene" (a name) and the "start" (first frame of the scene); else both are drawn.
+        `options` may fix the "scene" (a name) and the "start" (first frame of the scene); else both are drawn. "absent"
+        maps vehicles to the frames of the episode in which they send nothing, as {3: range(10, 20)}; by default none.
         """
         worlds = range(self.num_envs) if worlds is None else worlds
         for e, seed in zip(worlds, seeds or [None] * len(worlds), strict=True):
@@ -186,6 +190,7 @@ class World:
         settings = self.settings
         drawn = draw.choice(settings.n_vehicles, settings.k, replace=False) if settings.attackers is None else ()
         state.attackers = tuple(sorted(int(i) for i in (settings.attackers or drawn)))
+        state.absent = presence.checked(options.get("absent", {}), settings.n_maps)
         state.frame, state.output, state.verdict, state.error = 0, None, None, None
         tell = getattr(state.defender, "tell", None)  # the oracle alone is told the truth: defenders.bounds
         if tell is not None:
@@ -215,10 +220,18 @@ class World:
                 row[sorted(self._everyone - state.verdict.collaborators)] = True
         return excluded
 
+    def _present(self) -> list[frozenset[int]]:
+        """Whose maps are there in each world."""
+        return [presence.present(s.absent, self.settings.n_maps, s.frame) for s in self._worlds]
+
     def _expected(self) -> Bool[np.ndarray, "E N"]:
-        """Whom the ego will look at first: a verdict that has not converged may change, so everyone until then."""
+        """Whom the ego will look at first: a verdict that has not converged may change, so all present until then."""
         converged = [s.verdict is not None and s.verdict.converged for s in self._worlds]
-        return ~(self.excluded & np.array(converged)[:, None])
+        return self._rows(self._present()) & ~(self.excluded & np.array(converged)[:, None])
+
+    def _rows(self, groups: Sequence[frozenset[int]]) -> Bool[np.ndarray, "B N"]:
+        """Groups as rows of a mask."""
+        return np.array([[i in group for i in range(self.settings.n_maps)] for group in groups], dtype=bool)
 
     @property
     def defenders(self) -> tuple[Defender, ...]:
@@ -242,7 +255,7 @@ class World:
         """The current frame before anyone acts; computed once a frame."""
         if self._situation is None:
             places = self.places
-            self._situation = Situation(
+            situation = Situation(
                 features=self.features,
                 received=stack_maps(places, "received").to(self.device),
                 coverage=torch.stack([ep.coverage[t] for ep, t in places]).to(self.device),
@@ -253,6 +266,7 @@ class World:
                 ),
                 attackers=torch.from_numpy(self.attackers).to(self.device),
                 fused=torch.from_numpy(self._expected()).to(self.device),
+                present=torch.from_numpy(self._rows(self._present())).to(self.device),
                 active=torch.tensor([s.frame >= self.settings.grace_frames for s in self._worlds], device=self.device),
                 frame=np.array([s.frame for s in self._worlds]),
                 budget=self.settings.budget,
@@ -264,7 +278,17 @@ class World:
                 rehearse=self._rehearse,
                 kept=stack_kept(places, self.device),
             )
+            self._situation = self._without_absent(situation)
         return self._situation
+
+    def _without_absent(self, situation: Situation) -> Situation:
+        """The clean output is the bank's, with everyone fused; where someone is absent it is perceived anew."""
+        few = torch.nonzero(~situation.present.all(1)).flatten()
+        if len(few):
+            with torch.inference_mode():
+                dense = situation.eyes().perceive(situation.received, situation.coverage, few, situation.present[few])
+            situation.clean.logits[few], situation.clean.boxes[few] = dense.logits.clone(), dense.boxes.clone()
+        return situation
 
     def step(self, delta: Float[Tensor, "E k C H W"]) -> Outcome:
         """Play one frame: transmit F_i + δ_i, fuse and decode (Eq. 1), let the defenders judge.
@@ -284,10 +308,10 @@ class World:
             situation = self.situation()
             attacked, norms = self._transmit(situation, delta)
             perceive = self._perceiver(attacked, situation)
-            seen = perceive([(e, self._everyone) for e in range(self.num_envs)])
+            seen = perceive(list(enumerate(self._present())))
             states = zip(self._worlds, seen, strict=True)
             frames = [Frame(s.frame, self.settings.n_maps, view, s.output) for s, view in states]
-            return self._outcome(frames, judge(frames, minds, perceive), norms)
+            return self._outcome(frames, judge(frames, minds, perceive), norms, self._clean(situation))
 
     def _transmit(
         self, situation: Situation, delta: Float[Tensor, "E k C H W"]
@@ -298,10 +322,11 @@ class World:
         sent = channel.norm_of(delta.detach().to(self.device), situation.norm)
         if not bool(torch.isfinite(sent).all()):
             raise ValueError("a perturbation must be finite, but it holds NaN or infinity; check the attacker")
-        if not bool((sent * situation.active[:, None]).any()):
+        active = situation.active[:, None] & situation.present.gather(1, situation.attackers)
+        if not bool((sent * active).any()):
             return situation.received, torch.zeros_like(sent).cpu().numpy()
         delta = channel.project(delta.detach().to(self.device), situation.budget, situation.norm)
-        delta = delta * situation.active[:, None, None, None, None]
+        delta = delta * active[..., None, None, None]
         norms = channel.norm_of(delta, situation.norm).cpu().numpy()
         index = situation.attackers[..., None].expand(-1, -1, 3)
         warped = self.detector.warp(delta, situation.ego_T_sender.gather(1, index))
@@ -314,9 +339,7 @@ class World:
 
         def perceive(pairs: list[Pair]) -> list[View]:
             world = torch.tensor([e for e, _ in pairs], device=self.device)
-            groups = torch.zeros(len(pairs), self.settings.n_maps, dtype=torch.bool)
-            for row, (_, group) in zip(groups, pairs, strict=True):
-                row[sorted(group)] = True
+            groups = torch.from_numpy(self._rows([group for _, group in pairs]))
             dense = situation.eyes().perceive(attacked, situation.coverage, world, groups.to(self.device))
             states = [self._worlds[e] for e, _ in pairs]
             places = [ego_place(self._episode(s).scene, self._now(s)) for s in states]
@@ -324,9 +347,19 @@ class World:
 
         return perceive
 
-    def _outcome(self, frames: list[Frame], judgements: list[Judgement], norms: np.ndarray) -> Outcome:
+    def _clean(self, situation: Situation) -> tuple[View, ...]:
+        """What the egos would have seen of all present without lies; the bank knows where everyone is."""
+        views = [episode.clean_views[t] for episode, t in self.places]
+        few = [pair for pair in enumerate(self._present()) if pair[1] < self._everyone]
+        seen = self._perceiver(situation.received, situation)(few) if few else []
+        for (e, _), view in zip(few, seen, strict=True):
+            views[e] = view
+        return tuple(views)
+
+    def _outcome(
+        self, frames: list[Frame], judgements: list[Judgement], norms: np.ndarray, clean: tuple[View, ...]
+    ) -> Outcome:
         places = self.places
-        clean = tuple(episode.clean_views[t] for episode, t in places)
         last = [
             1.0 if s.output is None else f.similarity(f.seen, s.output)
             for f, s in zip(frames, self._worlds, strict=True)

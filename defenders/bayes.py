@@ -1,35 +1,36 @@
-"""Bayesian adaptive group testing: a posterior over sets of liars, and the two groups a frame that tell most."""
+"""Bayesian adaptive group testing: a posterior over sets of liars, and the two looks a frame that tell most."""
 
 from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Bool
 
-from defenders.design import Outlook, Plan, Reference, best_reference, outlook, plan, safest
-from defenders.likelihood import Likelihood, open_likelihood
+from defenders.design import Aside, Look, Outlook, Reference, best_look, best_reference, outlook, safest
+from defenders.likelihood import BesideTable, Likelihood, open_likelihood
 from defenders.particles import IDLE, Particles
-from defenders.posterior import STARTS, STAYS, Comparison, Posterior
+from defenders.posterior import STARTS, STAYS, Beside, Comparison, Posterior
 from defenders.protocol import Defender, Frame, Inspection, Query, Verdict, View
 
 Members = Bool[np.ndarray, " n"]
+LOOKS = 2  # paid for in a frame at most
 PATIENCE = 0.95  # new references as good as the old ones but for this are preferred
 
 
 class Bayes(Defender):
     """Trusts nobody by rank: not the ego, not the first frame, not its own last verdict. See docs/bayes.md.
 
-    A frame: the free view of everyone is compared with a reference; if two more views are expected to tell at least
-    `worthwhile` bits, they are asked for, compared with the references by which they tell most, and taken in. Fused
-    are those whose view is worth most under the posterior; accused are those who lie with probability `certainty`.
-    Where no view is paid for, the output's similarity is evidence too: it is perceived anyway. Where two are paid
-    for it is not, so that no frame ever rests on more than two looks beside the free one.
+    A frame: the free view of all present is compared with a reference; then, twice, the group whose view is expected
+    to tell most is asked for, if that is at least `worthwhile` bits, compared with the reference by which it tells most
+    and with the free view, and taken in: the second look knows what the first told. Fused are those whose view is worth
+    most under the posterior. The ego perceives that one anyway, so it is compared as well; and accused are those who
+    then lie with probability `certainty`.
 
     The references are the views of one earlier frame, whose honesty is part of the posterior. This frame's views
     that are likely to be honest replace them, unless the old ones are likelier to be, by more than `PATIENCE` and by
     more than what a reference loses with age.
     """
 
-    max_queries = 2
+    max_queries = LOOKS + 1
 
     def __init__(
         self,
@@ -38,7 +39,7 @@ class Bayes(Defender):
         certainty: float = 0.99,
         turn: float = 1e-3,
         first: float = 1e-4,
-        worthwhile: float = 0.05,
+        worthwhile: float = 0.03,
         exact_to: int = 15,
         particles: int = 1024,
     ) -> None:
@@ -48,7 +49,7 @@ class Bayes(Defender):
         certainty    posterior probability at which a vehicle is accused, and a set of liars settled
         turn         φ, the probability that the set of liars is another from one frame with lies to the next
         first        the probability that liars are at work in the very first frame
-        worthwhile   bits that two looks must be expected to tell to be paid for
+        worthwhile   bits that a look must be expected to tell to be paid for
         exact_to     vehicles up to which every set has its own probability; above, `particles` stand for all
         """
         if not 0.5 < certainty < 1:
@@ -67,6 +68,7 @@ class Bayes(Defender):
     def reset(self, n_vehicles: int, rng: np.random.Generator) -> None:
         self.n, self.rng = n_vehicles, rng
         self.tables = self.likelihood.tables(n_vehicles)
+        self.beside = {n_vehicles: BesideTable(self.likelihood, n_vehicles)}  # by how many are present
         self.worth = worth_table(self.likelihood, n_vehicles)
         self.posterior = (
             Posterior(n_vehicles, turn=self.turn)
@@ -78,23 +80,24 @@ class Bayes(Defender):
         self.lying = self.first  # probability that the liars are at work in the coming frame
 
     def inspect(self, frame: Frame) -> Inspection:
-        everyone = frozenset(range(self.n))
-        views: dict[frozenset[int], View] = {everyone: frame.seen}
+        here = self._members(frame.present)
+        views: dict[frozenset[int], View] = {frame.present: frame.seen}
         self.posterior.predict(self.lying)
         self.age += 1
-        self._learn(frame, everyone, frame.seen)
-        plan = self._plan()
-        if plan is not None:
-            groups = [numbers(group) for group in plan.groups]
-            views.update(zip(groups, (yield Query(groups)), strict=True))
-            for group, reference in zip(groups, plan.references, strict=True):
-                self._compare(frame, group, views[group], reference)
-        fused = safest(self.posterior, self.worth, self.posterior.guilt() >= self.certainty, self.rng)
+        self._learn(frame, frame.present, frame.seen)
+        aside = Aside(here, self._beside(len(frame.present)))
+        for _ in range(LOOKS):
+            if (look := self._next_look(aside, views)) is None:
+                break
+            group = numbers(look.group)
+            (views[group],) = yield Query([group])
+            self._compare(frame, group, views[group], look.reference)
+        guilty = self.posterior.guilt() >= self.certainty
+        fused = safest(self.posterior, self.worth, guilty, here, self.rng)
         collaborators = numbers(fused)
         if collaborators not in views:
             (views[collaborators],) = yield Query([collaborators], verification=False)  # the output of this frame
-            if plan is None:
-                self._learn(frame, collaborators, views[collaborators])
+            self._learn(frame, collaborators, views[collaborators], aside)
         suspects = numbers(self.posterior.guilt() >= self.certainty) - collaborators
         verdict = Verdict(collaborators, suspects, self.posterior.likeliest() >= self.certainty)
         self._end(views)
@@ -106,27 +109,36 @@ class Bayes(Defender):
     def _outlook(self) -> Outlook:
         return outlook(self.posterior, self.rng, 512)
 
-    def _sources(self) -> list[Reference]:
-        table = self.tables[min(self.age, len(self.tables)) - 1]
-        return [Reference(self._members(group), table) for group in self.references]
+    def _beside(self, present: int) -> BesideTable:
+        if present not in self.beside:
+            self.beside[present] = BesideTable(self.likelihood, present)
+        return self.beside[present]
 
-    def _plan(self) -> Plan | None:
-        """The two groups to pay for, or None where they would not tell enough; surely so where nobody lies."""
-        if not self.references or self.n < 2 or self.posterior.lies() < IDLE:
+    def _sources(self, aside: Aside | None = None) -> list[Reference]:
+        table = self.tables[min(self.age, len(self.tables)) - 1]
+        return [Reference(self._members(group), table, aside) for group in self.references]
+
+    def _next_look(self, aside: Aside, views: dict[frozenset[int], View]) -> Look | None:
+        """The group to pay for, or None where none would tell enough; surely so where nobody lies."""
+        if not self.references or aside.present.sum() < 2 or self.posterior.lies() < IDLE:
             return None
-        best = plan(self._sources(), self._outlook(), self.rng)
+        seen = np.array([self._members(group) for group in views])
+        best = best_look(self._sources(aside), self._outlook(), aside.present, seen, self.rng)
         return best if best.gain >= self.worthwhile else None
 
-    def _learn(self, frame: Frame, group: frozenset[int], view: View) -> None:
-        """Compare a view with the reference by which it tells most."""
+    def _learn(self, frame: Frame, group: frozenset[int], view: View, aside: Aside | None = None) -> None:
+        """Compare a view with the reference by which it tells most, and with the free view where it is another."""
         if self.references:
-            reference, _ = best_reference(self._members(group), self._sources(), self._outlook())
+            reference = best_reference(self._members(group), self._sources(aside), self._outlook())
             self._compare(frame, group, view, reference)
 
     def _compare(self, frame: Frame, group: frozenset[int], view: View, reference: Reference) -> None:
         similarity = frame.similarity(view, self.references[numbers(reference.group)])
         found = self.likelihood.bin(similarity)
         self.posterior.update(Comparison(self._members(group), reference.group, reference.table, found))
+        if (aside := reference.aside) is not None:
+            found = self.likelihood.bin(frame.similarity(view, frame.seen), beside=True)
+            self.posterior.update(Beside(self._members(group), aside.present, aside.table, found))
 
     def _end(self, views: dict[frozenset[int], View]) -> None:
         """Keep the references or renew them: by views that are likely to be honest."""

@@ -32,7 +32,7 @@ class EgoOnly(NoDefence):
 
 
 class Oracle(NoDefence):
-    """Told who lies, fuses the others: the bound from above.
+    """Told who lies, fuses the others, or the ego if none of them is present: the bound from above.
 
     The one exception to "nothing says who lies": a referee calls `tell`, where a defender has it, with the liars of the
     episode before every `reset`. Where the liars are fixed, the constructor may be told instead.
@@ -56,7 +56,9 @@ class Oracle(NoDefence):
     def inspect(self, frame: Frame) -> Inspection:
         yield from ()
         assert self.liars is not None
-        return Verdict(frozenset(range(self.n_vehicles)) - self.liars, self.liars, True)
+        honest = frozenset(range(self.n_vehicles)) - self.liars
+        fused = honest if honest & frame.present else frozenset({0})
+        return Verdict(fused, self.liars - fused, True)
 
     def belief(self) -> np.ndarray:
         return np.array([float(i in (self.liars or ())) for i in range(self.n_vehicles)])

@@ -11,14 +11,14 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from defenders.likelihood import Table
+from defenders.likelihood import BesideTable, Table
 from defenders.posterior import Posterior
 
 Group = Bool[np.ndarray, " n"]
 Groups = Bool[np.ndarray, "X n"]
+Others = Bool[np.ndarray, "Y n"]
 Outcomes = Float[np.ndarray, "X M B"]
-Others = Float[np.ndarray, "Y M B"]
-MOST_EXACT = 5  # vehicles up to which every pair of groups is tried
+MOST_EXACT = 6  # vehicles up to which every group is tried
 ROUNDS = 8  # of local search at most
 
 
@@ -33,19 +33,28 @@ class Outlook:
 
 
 @dataclass(frozen=True, eq=False)
-class Reference:
-    """An earlier view of a group, and the densities for its age."""
+class Aside:
+    """The free view of this frame, of all present, which every view of a smaller group is compared with as well."""
 
-    group: Group
-    table: Table
+    present: Group
+    table: BesideTable
 
 
 @dataclass(frozen=True, eq=False)
-class Plan:
-    """Groups to look at, the reference to compare each with, and the bits expected of all together."""
+class Reference:
+    """An earlier view of a group, and the densities for its age; and what else a view is compared with."""
 
-    groups: tuple[Group, ...]
-    references: tuple[Reference, ...]
+    group: Group
+    table: Table
+    aside: Aside | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """A group to look at, the reference to compare it with, and the bits expected of that."""
+
+    group: Group
+    reference: Reference
     gain: float
 
 
@@ -67,7 +76,19 @@ def outlook(posterior: Posterior, rng: np.random.Generator, size: int) -> Outloo
 
 
 def outcomes(groups: Groups, reference: Reference, of: Outlook) -> Outcomes:
-    """Probability of each bin, for each group compared with the reference under each hypothesis."""
+    """Probability of each outcome, for each group compared with the reference under each hypothesis.
+
+    With the free view aside an outcome is a pair of bins, of similarities that are independent given (L, b, a).
+    """
+    found = compared(groups, reference, of)
+    if reference.aside is None:
+        return found
+    other = compared_aside(groups, reference.aside, of)
+    return (found[..., :, None] * other[..., None, :]).reshape(*found.shape[:2], -1)
+
+
+def compared(groups: Groups, reference: Reference, of: Outlook) -> Outcomes:
+    """Probability of each bin of the similarity to a reference."""
     liars = (groups @ of.now.T - of.glitch[0]).astype(np.int64)
     its = (reference.group @ of.then.T - of.glitch[1]).astype(np.int64)
     sizes, shared = groups.sum(1)[:, None], (groups & reference.group).sum(1)[:, None]
@@ -75,102 +96,89 @@ def outcomes(groups: Groups, reference: Reference, of: Outlook) -> Outcomes:
     return reference.table.density[rows]
 
 
+def compared_aside(groups: Groups, aside: Aside, of: Outlook) -> Outcomes:
+    """Probability of each bin of the similarity to the free view."""
+    liars = (groups @ of.now.T).astype(np.int64)
+    lying = (aside.present @ of.now.T - of.glitch[0]).astype(np.int64)
+    return aside.table.density[aside.table.rows(groups.sum(1)[:, None], liars, lying[None])]
+
+
 def entropy(p: np.ndarray, axis: int | tuple[int, ...] = -1) -> np.ndarray:
     """In bits; 0 log 0 is 0."""
     return -(p * np.log2(np.maximum(p, 1e-300))).sum(axis)
 
 
-def gain_of_one(found: Outcomes, weight: Float[np.ndarray, " M"]) -> Float[np.ndarray, " X"]:
+def gains_of(found: Outcomes, weight: Float[np.ndarray, " M"]) -> Float[np.ndarray, " X"]:
     """Bits expected from each group alone."""
     return entropy(weight @ found) - entropy(found) @ weight
 
 
-def gain_of_two(one: Others, two: Outcomes, weight: Float[np.ndarray, " M"]) -> Float[np.ndarray, "Y X"]:
-    """Bits expected from every pair of a group of `one` and a group of `two`; they are independent given (L, b, a)."""
-    (x, m, b), y = one.shape, len(two)
-    left = (one * weight[:, None]).transpose(0, 2, 1).reshape(x * b, m)
-    both = (left @ two.transpose(1, 0, 2).reshape(m, y * b)).reshape(x, b, y, b)
-    alone = entropy(one) @ weight, entropy(two) @ weight
-    return entropy(both, axis=(1, 3)) - alone[0][:, None] - alone[1]
-
-
-def best_reference(group: Group, references: list[Reference], of: Outlook) -> tuple[Reference, float]:
+def best_reference(group: Group, references: list[Reference], of: Outlook) -> Reference:
     """The reference by which a view of the group tells most; the first of equals."""
-    gains = [float(gain_of_one(outcomes(group[None], reference, of), of.weight)[0]) for reference in references]
-    best = int(np.argmax(gains))
-    return references[best], gains[best]
+    return max((pick(group[None], reference, of) for reference in references), key=lambda look: look.gain).reference
 
 
-def plan(references: list[Reference], of: Outlook, rng: np.random.Generator) -> Plan:
-    """The two groups that tell most; one of them may add nothing. Exact up to `MOST_EXACT` vehicles."""
-    return exhaustive(references, of) if of.now.shape[1] <= MOST_EXACT else local(references, of, rng)
+def best_look(references: list[Reference], of: Outlook, present: Group, seen: Others, rng: np.random.Generator) -> Look:
+    """The group of those present, not `seen` yet, that tells most. Exact up to `MOST_EXACT` vehicles.
+
+    There must be one: two are present at least.
+    """
+    few = len(present) <= MOST_EXACT
+    looks = [(exhaustive(one, of, present, seen) if few else climb(one, of, present, seen, rng)) for one in references]
+    return max(looks, key=lambda look: look.gain)
 
 
-def every_group(n: int) -> Groups:
-    """All non-empty groups of fewer than all vehicles; the one vehicle there is where there is one."""
-    codes = np.arange(1, max(2**n - 1, 2))
-    return (codes[:, None] >> np.arange(n) & 1).astype(bool)
+def every_group(present: Group) -> Groups:
+    """All groups of one or more of those present."""
+    codes = np.arange(1, 2 ** len(present))
+    groups = (codes[:, None] >> np.arange(len(present)) & 1).astype(bool)
+    return groups[~(groups & ~present).any(1)]
 
 
-def exhaustive(references: list[Reference], of: Outlook) -> Plan:
-    """Every pair of groups, each compared with the reference by which it tells most alone."""
-    groups = every_group(of.now.shape[1])
-    by_reference = np.stack([outcomes(groups, reference, of) for reference in references])
-    alone = np.stack([gain_of_one(found, of.weight) for found in by_reference])
-    whose = alone.argmax(0)
-    found = by_reference[whose, np.arange(len(groups))]
-    gains = gain_of_two(found, found, of.weight)
-    np.fill_diagonal(gains, alone.max(0))  # a group looked at twice is looked at once
-    one, two = np.unravel_index(int(gains.argmax()), gains.shape)
-    chosen = [one] if one == two else [one, two]
-    return Plan(tuple(groups[i] for i in chosen), tuple(references[whose[i]] for i in chosen), float(gains[one, two]))
+def exhaustive(reference: Reference, of: Outlook, present: Group, seen: Others) -> Look:
+    """The best of all groups."""
+    return pick(unseen(every_group(present), seen), reference, of)
 
 
-def local(references: list[Reference], of: Outlook, rng: np.random.Generator) -> Plan:
-    """The best first group by local search, then the best beside it, then the first again beside the second."""
-    ones = [climb(reference, of, None, rng) for reference in references]
-    best = int(np.argmax([gain for _, gain in ones]))
-    reference, one = references[best], ones[best][0]
-    two, _ = climb(reference, of, outcomes(one[None], reference, of), rng)
-    one, gain = climb(reference, of, outcomes(two[None], reference, of), rng, one)
-    return Plan((one, two), (reference, reference), gain)
+def climb(reference: Reference, of: Outlook, present: Group, seen: Others, rng: np.random.Generator) -> Look:
+    """A good group, found by local search.
 
-
-def climb(
-    reference: Reference, of: Outlook, beside: Others | None, rng: np.random.Generator, start: Group | None = None
-) -> tuple[Group, float]:
-    """A group that tells most, beside another's outcomes if given, and the bits of both.
-
-    From the best of the heads of a list of vehicles, least suspicious first (and of one in random order, so that a
-    second group can differ), one vehicle at a time is added or removed while that tells more.
+    From the best of the heads of a list of vehicles, least suspicious first (and of one in random order, and of one
+    reversed), one vehicle at a time is added or removed while that tells more.
     """
     n = of.now.shape[1]
     suspicion = of.weight @ of.now
     orders = [np.lexsort([rng.random(n), suspicion]), rng.permutation(n), np.lexsort([rng.random(n), -suspicion])]
     heads = np.concatenate([np.tril(np.ones((n, n), dtype=bool))[:, np.argsort(order)][:-1] for order in orders])
-    best, gain = pick(heads if start is None else start[None], reference, of, beside)
+    best = pick(unseen(heads & present, seen), reference, of)
     for _ in range(ROUNDS):
-        flipped = best ^ np.eye(n, dtype=bool)
-        flipped = flipped[flipped.any(1) & ~flipped.all(1)]
-        other, more = pick(flipped, reference, of, beside)
-        if more <= gain + 1e-9:
+        other = pick(unseen(best.group ^ np.eye(n, dtype=bool)[present], seen), reference, of)
+        if other.gain <= best.gain + 1e-9:
             break
-        best, gain = other, more
-    return best, gain
+        best = other
+    return best
 
 
-def pick(groups: Groups, reference: Reference, of: Outlook, beside: Others | None) -> tuple[Group, float]:
-    """The best of the groups, and its gain."""
-    found = outcomes(groups, reference, of)
-    gains = gain_of_one(found, of.weight) if beside is None else gain_of_two(beside, found, of.weight)[0]
+def unseen(groups: Groups, seen: Others) -> Bool[np.ndarray, "Z n"]:
+    """Those of the groups that are neither empty nor seen."""
+    return groups[groups.any(1) & (groups[:, None] != seen).any(2).all(1)]
+
+
+def pick(groups: Groups, reference: Reference, of: Outlook) -> Look:
+    """The best of the groups."""
+    gains = gains_of(outcomes(groups, reference, of), of.weight)
     best = int(gains.argmax())
-    return groups[best], float(gains[best])
+    return Look(groups[best], reference, float(gains[best]))
 
 
 def safest(
-    posterior: Posterior, worth: Float[np.ndarray, "sizes counts"], barred: Group, rng: np.random.Generator
+    posterior: Posterior,
+    worth: Float[np.ndarray, "sizes counts"],
+    barred: Group,
+    present: Group,
+    rng: np.random.Generator,
 ) -> Group:
-    """The group of highest expected worth in this frame, without those barred (unless that is everyone).
+    """The group of those present of highest expected worth in this frame, without those barred (unless that is all).
 
     `worth[size, liars]` is a view's; its last column stands for a glitch. Up to `MOST_EXACT` vehicles every group is
     tried, else the heads of the list of vehicles, least suspicious first.
@@ -180,11 +188,12 @@ def safest(
     nobody = posterior.sets.sum(1) == 0
     groups: Groups
     if n <= MOST_EXACT:
-        groups = np.concatenate([every_group(n), np.ones((1, n), dtype=bool)])
+        groups = every_group(present)
     else:
         order = np.lexsort([rng.random(n), mass[:, 1] @ posterior.sets, barred])
-        groups = np.tril(np.ones((n, n), dtype=bool))[:, np.argsort(order)]
-    if not barred.all():
+        groups = np.tril(np.ones((n, n), dtype=bool))[:, np.argsort(order)] & present
+        groups = groups[groups.any(1)]
+    if not barred[present].all():
         groups = groups[~(groups & barred).any(1)]
     sizes = groups.sum(1)
     active = mass[:, 1] > 1e-9

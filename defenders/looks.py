@@ -16,14 +16,14 @@ def union(groups: Iterable[Group]) -> Group:
 
 
 class Looks:
-    """Starts with the view of everyone, which is free; what is asked for is added. Lives for one frame.
+    """Starts with the view of all present, which is free; what is asked for is added. Lives for one frame.
 
     A group passes if the similarity of its view to the reference is at least ε of the group, Eq. (5).
     """
 
     def __init__(self, frame: Frame, reference: View, epsilon: Callable[[Group], float]) -> None:
         self.frame, self.reference, self.epsilon = frame, reference, epsilon
-        self.views: dict[Group, View] = {frozenset(range(frame.n_vehicles)): frame.seen}
+        self.views: dict[Group, View] = {frame.present: frame.seen}
         self._likeness: dict[Group, float] = {}
 
     def verify(self, groups: Iterable[Group]) -> Asking:

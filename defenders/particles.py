@@ -17,12 +17,11 @@ import numpy as np
 from jaxtyping import Float
 
 from defenders.posterior import (
-    Comparison,
     Density,
+    Evidence,
     Posterior,
     Sets,
     ended,
-    likelihood,
     predicted,
     prior,
     settled,
@@ -38,7 +37,7 @@ DOUBT = 1e-4  # at least so likely is either, a liar or not, in a summary
 class Chapter:
     """The evidence of one frame, its probability, and whether the frame's views became the references."""
 
-    evidence: list[Comparison] = field(default_factory=list)
+    evidence: list[Evidence] = field(default_factory=list)
     total: float = 1.0
     lying: float = 0.0
     renew: bool = True
@@ -68,9 +67,9 @@ class Particles(Posterior):
         self.chapter, self.before = Chapter(lying=lying), self.density
         super().predict(lying)
 
-    def update(self, comparison: Comparison) -> None:
-        self.chapter.evidence.append(comparison)
-        super().update(comparison)
+    def update(self, evidence: Evidence) -> None:
+        self.chapter.evidence.append(evidence)
+        super().update(evidence)
 
     def _normalise(self) -> None:
         total = float(self.mass.sum())
@@ -99,8 +98,8 @@ class Particles(Posterior):
                 density = resting(density, chapter.renew)
                 continue
             joint = predicted(density, sets, birth, self.turn, chapter.lying) / chapter.total
-            for comparison in chapter.evidence:
-                joint *= likelihood(sets, comparison)
+            for evidence in chapter.evidence:
+                joint *= evidence.likelihood(sets)
             density = ended(joint, chapter.renew)
         return density
 

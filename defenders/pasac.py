@@ -24,7 +24,8 @@ class Pasac(Defender):
 
     Where the paper is silent: with `n_upper` one half is verified after the other, depth first, so that no look is paid
     for after enough are accepted; a half that passes is accepted whole even if it is more than enough; who was not
-    looked at is neither fused nor accused. If nobody passes the ego perceives alone, be it accused or not.
+    looked at is neither fused nor accused, and neither is who is absent. If nobody passes the ego perceives alone, be
+    it accused or not.
     """
 
     max_queries = 128  # a tree over 64 vehicles, one node a query
@@ -70,9 +71,9 @@ class Pasac(Defender):
     def inspect(self, frame: Frame) -> Inspection:
         ego: Group = frozenset({0}) if self.trust_ego else frozenset()
         (reference,) = yield Query([{0}], verification=False)
-        order = self.rng.permutation(np.arange(len(ego), self.n_vehicles)).tolist()
+        order = self.rng.permutation(sorted(frame.present - ego)).tolist()
         accepted, failed = set(ego), set[int]()
-        parts = [order] if self.visit_all or len(order) == 1 else halves(order)
+        parts = [order] if self.visit_all or len(order) == 1 else halves(order) if order else []
         while parts and (self.n_upper is None or len(accepted - ego) < self.n_upper):
             now, parts = (parts, []) if self.n_upper is None else (parts[:1], parts[1:])
             groups = [ego.union(part) for part in now]

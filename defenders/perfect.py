@@ -17,7 +17,9 @@ from defenders.likeness import Group, Likeness, exact
 from defenders.protocol import Defender, Frame, Query, QueryError, Verdict
 
 Schedule = Callable[[int, Group], Group]
-"""From the number of a frame (0 begins the episode) and the liars to those of them who lie in that frame."""
+"""From the number of a frame (0 begins the episode) and the liars to those of them who lie in that frame.
+
+Or, as `absent`, to the vehicles whose maps are not there in that frame."""
 
 
 def always(frame: int, liars: Group) -> Group:
@@ -39,6 +41,11 @@ def turning(at: int, *, late: int = 1) -> Schedule:
     return lambda frame, liars: liars if frame >= at else frozenset(sorted(liars)[:-late])
 
 
+def nobody(frame: int, liars: Group) -> Group:
+    """Nobody, in any frame."""
+    return frozenset()
+
+
 @dataclass(frozen=True, slots=True)
 class Ruling:
     """What a defender did in one frame."""
@@ -55,6 +62,7 @@ class PerfectFrame:
 
     index: int
     n_vehicles: int
+    present: Group
     seen: int
     similarity: Callable[[int, int], float]
     agreement: Callable[[int, int], float]
@@ -62,7 +70,7 @@ class PerfectFrame:
 
 @dataclass
 class PerfectWorld:
-    """One episode. In the frames judged with `lying=True` those of `liars` lie whom the schedule names.
+    """One episode. In the frames judged with `lying=True` those of `liars` lie whom the schedule names, if present.
 
     The similarity of two views is what `likeness` gave for the later one, unless the earlier is a lie: then it is no
     more than the earlier's own. So a lie that shows is a reference that nothing agrees with, and one that passes is as
@@ -75,19 +83,20 @@ class PerfectWorld:
     views: list[float] = field(default_factory=list, repr=False)  # likeness of view number i to a right reference
     likeness: Likeness = exact
     schedule: Schedule = always
+    absent: Schedule = nobody  # whose maps are not there; never the ego's
     rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0), repr=False)  # of the likeness
 
     def __post_init__(self) -> None:
         self.everyone: Group = frozenset(range(self.n_vehicles))
         if not self.liars <= self.everyone:
             raise ValueError(f"liars must be among the vehicles 0..{self.n_vehicles - 1}, got {sorted(self.liars)}")
-        self.lying: Group = frozenset()  # in the current frame
+        self.present, self.lying = self.everyone, frozenset[int]()  # in the current frame
         self._lies: list[bool] = []  # whether a liar is in view number i
         self._looked: dict[Group, int] = {}  # views of the current frame
 
     def look(self, group: Iterable[int]) -> int:
-        """The view of a group in the current frame."""
-        group = frozenset(group)
+        """The view of a group in the current frame: of those of it who are present."""
+        group = frozenset(group) & self.present
         if group not in self._looked:
             lying = group & self.lying
             self._looked[group] = len(self.views)
@@ -104,12 +113,15 @@ class PerfectWorld:
         return 0.5 * self.similarity(a, b)
 
     def show(self, lying: bool) -> Frame:
-        """The next frame, everyone fused."""
-        self.lying = self.schedule(self.frame, self.liars) if lying else frozenset()
+        """The next frame, everyone fused who is present. ValueError if the ego is not."""
+        if 0 in (absent := self.absent(self.frame, self.liars)):
+            raise ValueError(f"the ego, vehicle 0, is always present; absent in frame {self.frame}: {sorted(absent)}")
+        self.present = self.everyone - absent
+        self.lying = self.schedule(self.frame, self.liars) & self.present if lying else frozenset()
         self._looked = {}
         self.frame += 1
         seen = self.look(self.everyone)
-        return PerfectFrame(self.frame - 1, self.n_vehicles, seen, self.similarity, self.agreement)
+        return PerfectFrame(self.frame - 1, self.n_vehicles, self.present, seen, self.similarity, self.agreement)
 
     def judge(self, defender: Defender, lying: bool = True) -> Ruling:
         """Show the defender the next frame, answer what it asks, and count.
@@ -138,16 +150,21 @@ class PerfectWorld:
         if queries > most:
             raise QueryError(f"more than max_queries = {most} queries in one frame")
         for group in query.groups:
-            if not group or not group <= self.everyone:
-                raise QueryError(f"a group must hold one or more of {self.n_vehicles} vehicles, got {sorted(group)}")
+            if not group & self.present or not group <= self.everyone:
+                raise QueryError(
+                    f"a group must hold one or more of {self.n_vehicles} vehicles, got {sorted(group)}; present in "
+                    f"this frame are {sorted(self.present)}"
+                )
 
     def _checked(self, verdict: object) -> Verdict:
         if not isinstance(verdict, Verdict):
             raise QueryError(f"inspect() must return a Verdict, got {type(verdict).__name__}")
-        if not verdict.collaborators or not (verdict.collaborators | verdict.suspects) <= self.everyone:
+        named = verdict.collaborators | verdict.suspects
+        if not verdict.collaborators & self.present or not named <= self.everyone:
             raise QueryError(
                 f"a verdict must fuse one or more of {self.n_vehicles} vehicles and accuse none but them, got "
-                f"{sorted(verdict.collaborators)} and {sorted(verdict.suspects)}"
+                f"{sorted(verdict.collaborators)} and {sorted(verdict.suspects)}; present in this frame are "
+                f"{sorted(self.present)}"
             )
         return verdict
 
@@ -181,6 +198,7 @@ class Terms:
     honest           vehicles that are never drawn: {0} is a trusted ego
     likeness         what the view of a group resembles: see `defenders.likeness`
     schedule         who of the liars lies in which frame
+    absent           who is not there in which frame: has yet to appear, or has dropped out
     grace_frames     so many honest frames come first and are not recorded; the schedule counts them
     max_frames       at most so many are recorded
     until_converged  whether an episode ends with the frame in which the defender says that it has converged
@@ -191,6 +209,7 @@ class Terms:
     honest: Collection[int] = ()
     likeness: Likeness = exact
     schedule: Schedule = always
+    absent: Schedule = nobody
     grace_frames: int = 1
     max_frames: int = 100
     until_converged: bool = True
@@ -216,7 +235,14 @@ class Terms:
         world_rng, mind = (np.random.default_rng(child) for child in sequence.spawn(2))
         able = [i for i in range(self.n_vehicles) if i not in self.honest]
         liars = frozenset(world_rng.permutation(able)[: self.n_liars].tolist())
-        world = PerfectWorld(self.n_vehicles, liars, likeness=self.likeness, schedule=self.schedule, rng=world_rng)
+        world = PerfectWorld(
+            self.n_vehicles,
+            liars,
+            likeness=self.likeness,
+            schedule=self.schedule,
+            absent=self.absent,
+            rng=world_rng,
+        )
         if (tell := getattr(defender, "tell", None)) is not None:
             tell(liars)
         defender.reset(self.n_vehicles, mind)

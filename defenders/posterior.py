@@ -22,7 +22,7 @@ from math import comb
 import numpy as np
 from jaxtyping import Bool, Float
 
-from defenders.likelihood import Table
+from defenders.likelihood import BesideTable, Table
 
 GLITCH = 0.05
 STARTS, STAYS = 0.02, 0.7  # q after a pause, and after a frame with lies
@@ -40,6 +40,42 @@ class Comparison:
     reference: Bool[np.ndarray, " n"]
     table: Table  # of the reference's age
     bin: int
+
+    def likelihood(self, sets: Sets) -> Joint:
+        """Probability of the similarity under every (L, b, a)."""
+        size, reference = int(self.group.sum()), int(self.reference.sum())
+        shared = int((self.group & self.reference).sum())
+        honest, nobody = np.zeros(len(sets), dtype=np.int64), ~sets.any(1)
+        now = np.where(nobody, -1, sets[:, self.group].sum(1))
+        then = np.where(nobody, -1, sets[:, self.reference].sum(1))
+        values = self.table.density[:, self.bin]
+        rows = [
+            [self.table.rows(size, (honest, now)[a], reference, (honest, then)[b], shared) for a in range(2)]
+            for b in range(2)
+        ]
+        return np.moveaxis(values[np.array(rows)], 2, 0)
+
+
+@dataclass(frozen=True, eq=False)
+class Beside:
+    """A similarity, binned, of the view of a group to the free one of the same frame, of all present."""
+
+    group: Bool[np.ndarray, " n"]
+    present: Bool[np.ndarray, " n"]
+    table: BesideTable  # of so many present
+    bin: int
+
+    def likelihood(self, sets: Sets) -> Joint:
+        """Probability of the similarity under every (L, b, a); b says nothing about it."""
+        lying = np.where(sets.any(1), sets[:, self.present].sum(1), -1)
+        liars, nobody = sets[:, self.group].sum(1), np.zeros(len(sets), dtype=np.int64)
+        size = int(self.group.sum())
+        rows = np.stack([self.table.rows(size, nobody, nobody), self.table.rows(size, liars, lying)], axis=1)
+        values = self.table.density[:, self.bin][rows]
+        return np.stack([values, values], axis=1)
+
+
+Evidence = Comparison | Beside
 
 
 class Posterior:
@@ -72,9 +108,9 @@ class Posterior:
         self.joint = predicted(self.density, self.sets, self.prior, self.turn, lying)
         self._normalise()
 
-    def update(self, comparison: Comparison) -> None:
+    def update(self, evidence: Evidence) -> None:
         """Take in one similarity of this frame."""
-        self.joint *= likelihood(self.sets, comparison)
+        self.joint *= evidence.likelihood(self.sets)
         self._normalise()
 
     def advance(self, renew: bool) -> None:
@@ -117,21 +153,6 @@ def predicted(density: Density, sets: Sets, birth: Float[np.ndarray, " S"], turn
     joint[:, 0, 1] += turn * lying * birth
     joint[~sets.any(1), :, 1] *= GLITCH
     return joint
-
-
-def likelihood(sets: Sets, comparison: Comparison) -> Joint:
-    """Probability of a similarity under every (L, b, a)."""
-    size, reference = int(comparison.group.sum()), int(comparison.reference.sum())
-    shared = int((comparison.group & comparison.reference).sum())
-    honest, nobody = np.zeros(len(sets), dtype=np.int64), ~sets.any(1)
-    now = np.where(nobody, -1, sets[:, comparison.group].sum(1))
-    then = np.where(nobody, -1, sets[:, comparison.reference].sum(1))
-    values = comparison.table.density[:, comparison.bin]
-    rows = [
-        [comparison.table.rows(size, (honest, now)[a], reference, (honest, then)[b], shared) for a in range(2)]
-        for b in range(2)
-    ]
-    return np.moveaxis(values[np.array(rows)], 2, 0)
 
 
 def ended(joint: Joint, renew: bool) -> Density:

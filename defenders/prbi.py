@@ -37,6 +37,8 @@ class Prbi(Defender):
       see `readings.Reading`.
     * No vehicle of probability above zero, and none found: the most similar of this frame's views is the output, and
       the reference stays, since nothing was verified.
+    * Who is absent is neither sampled nor counted, and keeps the counts it had; where none of those to be fused is
+      present, the ego alone is.
     * In the frame of convergence the Attackers are excluded at once. Afterwards nothing is verified any more (line 11),
       so a vehicle that starts lying later is not noticed: see `rearm`.
 
@@ -96,7 +98,7 @@ class Prbi(Defender):
         if n_vehicles < 2:
             raise ValueError(f"PRBI splits at least 2 vehicles into groups, got {n_vehicles}; use the defender 'none'")
         self.everyone: Group = frozenset(range(n_vehicles))
-        self.rng = rng
+        self.rng, self.present = rng, self.everyone
         self.reference: View | None = None
         self.lost = 0  # abnormal frames running in which no group passed
         self._begin(attackers=frozenset())
@@ -117,6 +119,7 @@ class Prbi(Defender):
         self.stalled = False  # whether the last abnormal frame proved nothing
 
     def inspect(self, frame: Frame) -> Inspection:
+        self.present = frame.present
         if self.reference is None:
             self.reference = frame.seen  # lines 6-10: the first frame is trusted
             return Verdict(self.everyone)
@@ -127,7 +130,7 @@ class Prbi(Defender):
                 return verdict
             yield from looks.reject(verdict.collaborators)
             self._begin(self.attackers)
-        elif looks.passes(self.everyone):  # line 11
+        elif looks.passes(self.present):  # line 11
             verdict = self._exclude_attackers()
             yield from self._output(looks, verdict.collaborators)
             return verdict
@@ -149,21 +152,21 @@ class Prbi(Defender):
 
     def _soft_sampling(self) -> list[Group]:
         """Eq. (6), lines 13-14: the ⌊m⌋ most suspicious vehicles, and the others. Empty groups are left out."""
-        order: list[int] = self.order.tolist()
+        order = [i for i in self.order.tolist() if i in self.present]
         cut = round_liars(self.m, self.rounding)
         if self.stopping == "robust":
             unsure, cleared = ([i for i in order if i in some] for some in (self.proof.open, self.proof.cleared))
             if self.stalled and cleared:
                 return [frozenset((*cleared, i)) for i in unsure[-2:]]
             order = unsure + cleared
-            cut = min(max(cut - len(self.proof.convicted), 0), len(unsure) - 1)
+            cut = max(min(cut - len(self.proof.convicted), len(unsure) - 1), 0)
         return [frozenset(part) for part in (order[:cut], order[cut:]) if part]
 
     def _validate(self, looks: Looks, groups: list[Group]) -> Asking:
         """Consistency validation, lines 16-18."""
         yield from looks.verify(groups)
         self.normal[list(union(group for group in groups if looks.passes(group)))] += 1
-        self.total += 1
+        self.total[list(self.present)] += 1
         self.stalled = not self.proof.learn(looks.verdicts())
 
     def _evaluate(self) -> None:
@@ -213,8 +216,8 @@ class Prbi(Defender):
     def _trusted(self, looks: Looks) -> Generator[Query, list[View], Group]:
         """Line 31; or the cleared, if their view passes, or else the largest group that does; empty if nobody is."""
         if self.stopping != "robust":
-            return frozenset(np.flatnonzero(self.probability).tolist())
-        cleared = self.proof.cleared
+            return self.present.intersection(np.flatnonzero(self.probability).tolist())
+        cleared = self.proof.cleared & self.present
         if cleared:
             yield from looks.perceive(cleared)
             if looks.passes(cleared):
@@ -240,7 +243,7 @@ class Prbi(Defender):
             stack += reversed(halves)
         if found and self.reading.split in ("once", "replace"):
             self.normal[list(found)] += 1
-            self.total += self.reading.split == "once"
+            self.total[list(self.present)] += self.reading.split == "once"
         self.proof.learn(looks.verdicts())
         if self.reading.refresh:
             self._evaluate()
@@ -249,13 +252,13 @@ class Prbi(Defender):
 
     def _count_halves(self, halves: list[Group], passed: list[Group]) -> None:
         if self.reading.split in ("halves", "members"):
-            counted = self.everyone if self.reading.split == "halves" else union(halves)
+            counted = self.present if self.reading.split == "halves" else union(halves)
             self.total[list(counted)] += 1
             self.normal[list(union(passed))] += 1
 
     def _least_evil(self, looks: Looks) -> Group:
         """No group passed: the most similar is the output. Twice running, "robust" mistrusts the reference instead."""
-        groups = list(looks.views)[1:] or [self.everyone]
+        groups = list(looks.views)[1:] or [self.present]
         if self.stopping != "robust" or self.lost < 2:
             return max(groups, key=looks.likeness)
         group = max(groups, key=lambda group: (looks.support(group), -len(group)))
@@ -276,4 +279,5 @@ class Prbi(Defender):
         return normal
 
     def _exclude_attackers(self) -> Verdict:
-        return Verdict(self.everyone - self.attackers, self.attackers, self.converged)
+        fused = self.present - self.attackers or frozenset({0})
+        return Verdict(fused, self.attackers - fused, self.converged)

@@ -25,7 +25,8 @@ class Query:
     """Groups of vehicle numbers whose views are wanted; answered for all worlds in one forward.
 
     Each group counts as one verification, unless `verification` is False: that is for a reference the papers do not
-    count (ROBOSAC's ego-only view). A group may lack the ego and may hold one vehicle; an empty one is an error.
+    count (ROBOSAC's ego-only view). A group may lack the ego and may hold one vehicle; an empty one is an error. It is
+    answered by those of it who are present (`Frame.present`), and is an error where none is.
     """
 
     groups: tuple[frozenset[int], ...]
@@ -38,7 +39,7 @@ class Query:
 
 @dataclass(frozen=True)
 class Verdict:
-    """Who is fused for the output of this frame, and who is accused now."""
+    """Who is fused for the output of this frame, as far as they are present, and who is accused now."""
 
     collaborators: frozenset[int]
     suspects: frozenset[int] = frozenset()
@@ -65,8 +66,17 @@ class Frame(Protocol):
         ...
 
     @property
+    def present(self) -> frozenset[int]:
+        """Whose maps are there in this frame: everyone, unless a vehicle has yet to appear or has dropped out.
+
+        The ego always is. Nothing is received from the others, so a group is answered by those of it who are present,
+        and so is a verdict; a group or a verdict of none of them is a `QueryError`.
+        """
+        ...
+
+    @property
     def seen(self) -> View:
-        """The view with everyone fused; free of charge."""
+        """The view with everyone fused who is present; free of charge."""
         ...
 
     def similarity(self, a: View, b: View) -> float:

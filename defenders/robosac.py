@@ -36,7 +36,8 @@ class Robosac(Defender):
     the `ratios` still open, the smallest and so the largest team first, `budget` tries in all. A ratio is given up
     after the N failures of "replacement"; one that passes closes itself and all above it. Where paper and code are
     silent: the tries that probing leaves over go to teams at the ratio found; two ratios that round to the same number
-    of liars are one; once all are given up the ego stays alone. No frame has more than 1,000 tries.
+    of liars are one; once all are given up the ego stays alone; who is absent is neither drawn nor accused, and a team
+    is cut to those there are. No frame has more than 1,000 tries.
     """
 
     max_queries = MOST_TRIES + 2
@@ -93,6 +94,7 @@ class Robosac(Defender):
 
     def inspect(self, frame: Frame) -> Inspection:
         self.accused = frozenset()
+        self.there = [i for i in self.pool.tolist() if i in frame.present]
         team: Group = frozenset()
         if self.n_attackers is None:
             team = yield from self._probe(frame)
@@ -101,7 +103,7 @@ class Robosac(Defender):
                 (reference,) = yield Query([{0}], verification=False)
                 team = yield from self._sample(frame, reference, self.size, self.tries)
             if len(team - self._ego) == len(self.pool) - self.n_attackers:
-                self.accused = frozenset(self.pool.tolist()) - team  # as many are left out as lie
+                self.accused = frozenset(self.there) - team  # as many are left out as lie
         return Verdict(team or {0}, self.accused)
 
     def belief(self) -> np.ndarray:
@@ -131,7 +133,7 @@ class Robosac(Defender):
     def _sample(self, frame: Frame, reference: View, size: int, tries: int) -> Search:
         """The first of so many random teams that passes; empty if none does."""
         for _ in range(tries):
-            team = self._ego.union(self.rng.permutation(self.pool)[:size].tolist())
+            team = self._ego.union(self.rng.permutation(self.there)[:size].tolist())
             (view,) = yield Query([team])
             if frame.similarity(view, reference) >= self.epsilon(team):
                 return team
@@ -153,7 +155,7 @@ class Robosac(Defender):
         if not team and self.found is not None:
             team = yield from self._sample(frame, reference, len(self.pool) - self.found, budget)
         if team:
-            self.accused = frozenset(self.pool.tolist()) - team
+            self.accused = frozenset(self.there) - team
         return team
 
 

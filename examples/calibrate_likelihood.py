@@ -4,9 +4,12 @@
     python examples/calibrate_likelihood.py --write defenders/likelihood.json  # and ship
 
 On the calibration scenes the views of every group of five vehicles are compared, Eq. (5), with those of every group
-the frame before, while nobody lies (then also with those of two and three frames before) and while PGD lies jointly in
-k = 1 … 4 vehicles. Histograms are smoothed
-by a Gaussian kernel that is reflected at 0 and 1. A run that was killed goes on where it stopped.
+the frame before, and with that of everyone in the same frame, while nobody lies (then also with those of two and three
+frames before) and while PGD lies jointly in k = 1 … 4 vehicles; the first frame is honest. Histograms are smoothed by a
+Gaussian kernel over arcsin √s, which evens out the spread of a share, reflected at both ends. What a similarity says on
+the *number* of liars differs from scene to scene, and what everyone's view says would be counted in every frame: so
+each density with liars is mixed with the mean over their numbers, and that of everyone's view is that mean. `--cross`
+prints the log-likelihood of scenes left out. A run that was killed goes on where it stopped.
 """
 
 from __future__ import annotations
@@ -14,8 +17,9 @@ from __future__ import annotations
 import json
 import shlex
 import sys
+import zlib
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -33,30 +37,37 @@ import agents
 from cp_env.bank import SceneBank
 from cp_env.detector import load_detector
 from cp_env.scenes import open_source
+from cp_env.similarity import view_similarity_many
+from cp_env.types import View
 from cp_env.world import World
-from defenders.likelihood import overlaps, read_likelihood
+from defenders.likelihood import liars_in_groups, overlaps, read_likelihood
 from defenders.protocol import Defender, Frame, Inspection, Query, Verdict
 
-EDGES = (0, 0.025, 0.075, 0.15, 0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85, 1)
+EDGES = (0, 0.01, 0.04, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1)
+WHAT = ("clean", "dirty", "both", "beside")
+BESIDE_EDGES = (0, 0.02, 0.06, 0.15, 0.3, 0.45, 0.6, 0.8, 1)
 
 
 @dataclass
 class Args:
     scenes: str = "town/calibration"
     n_vehicles: int = 5
-    frames: int = 6  # of every scene
+    start: int = 20  # frame of the scene that is the first
+    frames: int = 7  # of every scene, an honest one first
     ages: int = 3  # frames between a view and its reference, at most (where nobody lies; else one)
     attack: str = "pgd"
-    bandwidth: float = 0.04  # of the kernel
-    tail: float = 0.05  # share of every density that is the mean of all
-    seed: int = 0
+    bandwidth: float = 0.08  # of the kernel, rad
+    numbers: float = 0.3  # share of a density with liars that is the mean over their numbers
+    tail: float = 0.005  # share of every density that is the mean of all
+    seed: int = 7
     threads: int = 1
     out: Path = Path("out/likelihood")  # measurements, kept for the next run
+    cross: bool = False  # also print the log-likelihood of scenes left out, by kind
     write: Path | None = None
 
 
 class Surveyor(Defender):
-    """An instrument, not a defence: compares every group with every group of the frames before."""
+    """An instrument, not a defence: compares every group with every group of the frames before, and with everyone."""
 
     needs_truth = True  # the referee calls `tell`
 
@@ -69,17 +80,19 @@ class Surveyor(Defender):
     def reset(self, n_vehicles: int, rng: np.random.Generator) -> None:
         self.honest = frozenset(range(n_vehicles)) - self.liars
         self.groups = groups(n_vehicles)
-        self.past: list[list[object]] = []
+        self.past: list[list[View]] = []
         self.measured: list[Float[np.ndarray, "A X X"]] = []  # [age - 1, group, earlier group] of every frame
+        self.beside: list[Float[np.ndarray, " X"]] = []
 
     def inspect(self, frame: Frame) -> Inspection:
         views = yield Query(self.groups, verification=False)
         found = np.full((self.ages, len(views), len(views)), np.nan)
         for age, earlier in enumerate(reversed(self.past)):
-            found[age] = [[frame.similarity(view, reference) for reference in earlier] for view in views]
+            found[age] = view_similarity_many(list(product(views, earlier))).reshape(found[age].shape)
         self.measured.append(found)
+        self.beside.append(view_similarity_many([(view, frame.seen) for view in views]))
         self.past = [*self.past, views][-(1 if self.liars else self.ages) :]
-        return Verdict(self.honest, self.liars)
+        return Verdict(self.honest)
 
 
 def groups(n: int) -> list[frozenset[int]]:
@@ -91,87 +104,132 @@ def groups(n: int) -> list[frozenset[int]]:
 class Tape:
     """One scene, surveyed."""
 
+    scene: str
     liars: frozenset[int]
     similarity: Float[np.ndarray, "T A X X"]  # NaN where there was no frame so long before
+    beside: Float[np.ndarray, "T X"]  # to everyone's view
 
 
 def survey(args: Args) -> Iterator[Tape]:
     bank = SceneBank(open_source(args.scenes), load_detector())
-    folder = args.out / f"{bank.detector.digest}-{args.attack.replace(':', '-')}-{args.frames}-{args.ages}-{args.seed}"
+    what = (args.attack.replace(":", "-"), args.start, args.frames, args.ages, args.seed)
+    folder = args.out / "-".join(map(str, (bank.detector.digest, *what)))
     folder.mkdir(parents=True, exist_ok=True)
-    jobs = list(product(bank.source.names(), range(args.n_vehicles)))
-    for number, (scene, k) in enumerate(track(jobs, "surveying")):
+    for scene, k in track(list(product(bank.source.names(), range(args.n_vehicles))), "surveying"):
         path = folder / f"{scene}-{k}.npz"
         if not path.exists():
-            tape = play(args, bank, scene, k, number)
+            tape = play(args, bank, scene, k)
             draft = path.with_suffix(".part.npz")
-            np.savez_compressed(draft, liars=sorted(tape.liars), similarity=tape.similarity.astype(np.float32))
+            np.savez_compressed(draft, liars=sorted(tape.liars), similarity=tape.similarity, beside=tape.beside)
             draft.replace(path)
         with np.load(path) as stored:
-            yield Tape(frozenset(stored["liars"].astype(int).tolist()), stored["similarity"])
+            liars = frozenset(stored["liars"].astype(int).tolist())
+            yield Tape(scene, liars, stored["similarity"], stored["beside"])
 
 
-def play(args: Args, bank: SceneBank, scene: str, k: int, number: int) -> Tape:
-    world = World(1, defender=Surveyor(args.ages), bank=bank, n_vehicles=args.n_vehicles, n_attackers=k, grace_frames=0)
-    world.reset([np.random.SeedSequence([args.seed, number])], options={"scene": scene})
+def play(args: Args, bank: SceneBank, scene: str, k: int) -> Tape:
+    entropy = [args.seed, zlib.crc32(scene.encode()), k, 0]
+    world = World(1, defender=Surveyor(args.ages), bank=bank, n_vehicles=args.n_vehicles, n_attackers=k)
+    world.reset([np.random.SeedSequence(entropy)], options={"scene": scene, "start": args.start})
     attacker = agents.make(args.attack if k else "none")
-    attacker.reset(1, np.random.default_rng([args.seed, number]))
+    attacker.reset(1, [np.random.default_rng(entropy)])
     for _ in range(args.frames):
         world.step(attacker.act(world.situation()))
     (surveyor,) = world.defenders
     assert isinstance(surveyor, Surveyor)
-    return Tape(surveyor.liars, np.array(surveyor.measured))
+    similarity, beside = (np.array(found, dtype=np.float32) for found in (surveyor.measured, surveyor.beside))
+    return Tape(scene, surveyor.liars, similarity, beside)
 
 
-@dataclass(frozen=True)
-class Values:
+Kind = tuple[str | int, ...]
+"""("clean", age, size, size of the reference, both), ("dirty", size, liars), the reference honest and a frame old,
+("both",), or ("beside", size, liars, liars among everyone)."""
+Values = dict[Kind, list[np.ndarray]]
+Row = Float[np.ndarray, " B"]
+
+
+def sorted_out(tapes: Iterable[Tape], n: int) -> Values:
     """Similarities by kind of comparison."""
-
-    clean: dict[tuple[int, int, int, int], list[np.ndarray]]  # (age, size, size of the reference, both)
-    dirty: dict[tuple[int, int], list[np.ndarray]]  # (size, liars), the reference honest and a frame old
-    both: list[np.ndarray]
-
-
-def sorted_out(tapes: Iterator[Tape], n: int) -> Values:
-    clean, dirty, both = defaultdict(list), defaultdict(list), list[np.ndarray]()
+    values: Values = defaultdict(list)
     everyone = groups(n)
     for tape in tapes:
-        known = tape.similarity[1:] if tape.liars else tape.similarity[tape.similarity.shape[1] :]
         for (i, one), (j, other) in product(enumerate(everyone), enumerate(everyone)):
             now, then = len(one & tape.liars), len(other & tape.liars)
+            first, later = tape.similarity[1:2, 0, i, j], tape.similarity[2:, 0, i, j]  # honest reference, or not
+            overlap = len(one), len(other), len(one & other)
+            values[("dirty", len(one), now) if now else ("clean", 1, *overlap)].append(first)
             if now and then:
-                both.append(known[:, 0, i, j])
+                values["both",].append(later)
             elif now:
-                dirty[len(one), now].append(known[:, 0, i, j])
+                values["dirty", len(one), now].append(later)
             elif not then:
-                for age in range(1 if tape.liars else known.shape[1]):
-                    clean[age + 1, len(one), len(other), len(one & other)].append(known[:, age, i, j])
-    return Values(dict(clean), dict(dirty), both)
+                values["clean", 1, *overlap].append(later)
+            for age in range(1, 0 if tape.liars else tape.similarity.shape[1]):
+                values["clean", age + 1, *overlap].append(tape.similarity[age + 1 :, age, i, j])
+        for i, one in enumerate(everyone[:-1]):
+            values["beside", len(one), len(one & tape.liars), len(tape.liars)].append(tape.beside[1:, i])
+    return values
 
 
-def smoothed(values: list[np.ndarray], bandwidth: float) -> Float[np.ndarray, " B"]:
+def smoothed(values: list[np.ndarray], edges: Sequence[float], bandwidth: float) -> Row:
     """Probability of each bin."""
-    x, inner = np.concatenate(values), np.array(EDGES, dtype=float)
-    mirrored = np.concatenate([x, -x, 2 - x])
+    x, inner = (np.arcsin(np.sqrt(np.clip(v, 0, 1))) for v in (np.concatenate(values), np.array(edges, dtype=float)))
+    mirrored = np.concatenate([x, -x, np.pi - x])
     below = norm.cdf((inner[:, None] - mirrored[None]) / bandwidth).sum(1) / len(x)
     mass = np.diff(below)
     return mass / mass.sum()
 
 
-def densities(values: Values, args: Args) -> dict[str, object]:
-    def row(found: list[np.ndarray]) -> list[float]:
-        return smoothed(found, args.bandwidth).round(5).tolist()
+def densities(values: Values, args: Args) -> dict[Kind, Row]:
+    """A histogram of every kind."""
+    found = {
+        kind: smoothed(of, BESIDE_EDGES if kind[0] == "beside" else EDGES, args.bandwidth)
+        for kind, of in values.items()
+    }
+    return {kind: mixed(found, kind, args) for kind in found}
 
-    sizes = range(1, args.n_vehicles + 1)
+
+def mixed(found: dict[Kind, Row], kind: Kind, args: Args) -> Row:
+    """The density of a kind with liars, mixed with the mean over their numbers."""
+    if kind[0] == "dirty":
+        alike = [row for other, row in found.items() if other[:2] == kind[:2]]
+        share = 1.0 if kind[1] == args.n_vehicles else args.numbers
+    elif kind[0] == "beside" and kind[3]:
+        alike = [row for k, row in found.items() if k[:2] == kind[:2] and k[3] and bool(k[2]) == bool(kind[2])]
+        share = args.numbers
+    else:
+        return found[kind]
+    row: Row = (1 - share) * found[kind] + share * np.mean(alike, axis=0)
+    return row
+
+
+def stored(found: dict[Kind, Row], args: Args) -> dict[str, object]:
+    """What `read_likelihood` reads."""
+    n, listed = args.n_vehicles, {kind: row.round(5).tolist() for kind, row in found.items()}
+    dirty = [(size, liars) for size in range(1, n + 1) for liars in range(1, min(size, n - 1) + 1)]
     return {
         "edges": list(EDGES),
         "tail": args.tail,
-        "clean": [
-            [row(values.clean[age, *kind]) for kind in overlaps(args.n_vehicles)] for age in range(1, args.ages + 1)
-        ],
-        "dirty": {str(s): {str(d): row(values.dirty[s, d]) for d in sizes if (s, d) in values.dirty} for s in sizes},
-        "both": row(values.both),
+        "clean": [[listed["clean", age, *kind] for kind in overlaps(n)] for age in range(1, args.ages + 1)],
+        "dirty": {str(s): {str(d): listed["dirty", s, d] for size, d in dirty if size == s} for s in range(1, n + 1)},
+        "both": listed["both",],
+        "beside_edges": list(BESIDE_EDGES),
+        "beside": [listed["beside", *kind] for kind in liars_in_groups(n)],
     }
+
+
+def left_out(tapes: list[Tape], args: Args) -> dict[str, float]:
+    """Mean log-likelihood of each scene's similarities under the densities of the others; kinds and scenes alike."""
+    scores = defaultdict(list)
+    for scene in sorted({tape.scene for tape in tapes}):
+        known = densities(sorted_out((tape for tape in tapes if tape.scene != scene), args.n_vehicles), args)
+        mean = {what: np.mean([row for kind, row in known.items() if kind[0] == what], axis=0) for what in WHAT}
+        for kind, values in sorted_out((tape for tape in tapes if tape.scene == scene), args.n_vehicles).items():
+            edges = np.array(BESIDE_EDGES if kind[0] == "beside" else EDGES)[1:-1]
+            row = (1 - args.tail) * known[kind] + args.tail * mean[str(kind[0])]
+            bins = np.searchsorted(edges, np.concatenate(values), side="right")
+            scores[str(kind[0])].append(float(np.log(row[bins]).mean()))
+    return {what: float(np.mean(scores[what])) for what in WHAT}
 
 
 def report(values: Values, args: Args) -> Table:
@@ -182,27 +240,26 @@ def report(values: Values, args: Args) -> Table:
         title="mean similarity (spread) to an honest view of a frame before; of all, of older ages to all, honest",
     )
     for size in range(1, args.n_vehicles + 1):
-        found = [
-            values.clean[1, size, args.n_vehicles, size],
-            *(values.dirty.get((size, d)) for d in range(1, args.n_vehicles)),
-        ]
-        older = [values.clean[age, size, args.n_vehicles, size] for age in range(2, args.ages + 1)]
-        cells = [
-            "–" if x is None else f"{np.mean(np.concatenate(x)):.2f} ({np.std(np.concatenate(x)):.2f})"
-            for x in found + older
-        ]
-        table.add_row(str(size), *cells)
+        clean = [("clean", age, size, args.n_vehicles, size) for age in range(1, args.ages + 1)]
+        kinds: list[Kind] = [clean[0], *(("dirty", size, d) for d in range(1, args.n_vehicles)), *clean[1:]]
+        found = [np.concatenate(values[kind]) if kind in values else None for kind in kinds]
+        table.add_row(str(size), *("–" if x is None else f"{x.mean():.2f} ({x.std():.2f})" for x in found))
     return table
 
 
 def main(args: Args) -> None:
     torch.set_num_threads(args.threads)
-    values = sorted_out(survey(args), args.n_vehicles)
-    Console(width=160).print(report(values, args))
+    tapes = list(survey(args))
+    values = sorted_out(tapes, args.n_vehicles)
+    console = Console(width=160)
+    console.print(report(values, args))
+    if args.cross:
+        console.print({what: round(score, 3) for what, score in left_out(tapes, args).items()})
     if args.write:
         source = f"{args.scenes}, detector {load_detector().digest}, {args.attack}, {args.frames} frames a scene"
-        stored = {"source": source, "command": shlex.join(["python", *sys.argv]), **densities(values, args)}
-        args.write.write_text(json.dumps(stored) + "\n")
+        about = {"source": source, "command": shlex.join(["python", *sys.argv])}
+        table = {**about, **stored(densities(values, args), args)}
+        args.write.write_text(json.dumps(table) + "\n")
         read_likelihood(args.write)
 
 

@@ -13,13 +13,26 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from defenders.design import Outlook, Reference, exhaustive, gain_of_one, local, outcomes, outlook, safest
+from defenders.design import (
+    Aside,
+    Outlook,
+    Reference,
+    best_look,
+    climb,
+    exhaustive,
+    gains_of,
+    outcomes,
+    outlook,
+    safest,
+)
 from defenders.likelihood import (
     CALIBRATED,
+    BesideTable,
     Calibrated,
     Likelihood,
     Table,
     Verifier,
+    liars_in_groups,
     open_likelihood,
     overlaps,
     read_likelihood,
@@ -40,7 +53,8 @@ def made_up(seed: int, *, most: int = 3, bins: int = 4) -> Calibrated:
 
     dirty = {(s, d): rows(1)[0] for s in range(1, most + 1) for d in range(1, s + 1) if d == 1 or s < most}
     clean = [dict(zip(overlaps(most), rows(len(overlaps(most))), strict=True)) for _ in range(2)]
-    return Calibrated(np.linspace(0, 1, bins + 1), clean, dirty, rows(1)[0], tail=0.05)
+    beside = dict(zip(liars_in_groups(most), rng.dirichlet(np.ones(3), len(liars_in_groups(most))), strict=True))
+    return Calibrated(np.linspace(0, 1, bins + 1), clean, dirty, rows(1)[0], np.linspace(0, 1, 4), beside, tail=0.05)
 
 
 def members(n: int, group: frozenset[int]) -> np.ndarray:
@@ -233,52 +247,61 @@ def doubted(n: int, likelihood: Likelihood, seed: int) -> Posterior:
     return posterior
 
 
-def slow_gain(groups: list[np.ndarray], reference: Reference, of: Outlook, bins: int) -> float:
-    """Mutual information from its definition: Σ p(h) p(y | h) log2(p(y | h) / p(y))."""
+def slow_gain(group: np.ndarray, reference: Reference, of: Outlook) -> float:
+    """Mutual information from its definition: Σ p(h) p(y | h) log2(p(y | h) / p(y)), y a bin, or two with one aside."""
     given_each = []
     for h, now in enumerate(of.now):
-        rows = []
-        for group in groups:
-            liars = -1 if of.glitch[0, h] else int(now[group].sum())
-            its = -1 if of.glitch[1, h] else int(of.then[h][reference.group].sum())
-            row = reference.table.rows(
-                int(group.sum()),
-                np.array(liars),
-                int(reference.group.sum()),
-                np.array(its),
-                int(group[reference.group].sum()),
-            )
-            rows.append(reference.table.density[int(row)])
-        given_each.append(
-            {y: math.prod(r[b] for r, b in zip(rows, y, strict=True)) for y in product(range(bins), repeat=len(rows))}
-        )
-    total = {y: sum(w * each[y] for w, each in zip(of.weight, given_each, strict=True)) for y in given_each[0]}
+        liars = -1 if of.glitch[0, h] else int(now[group].sum())
+        its = -1 if of.glitch[1, h] else int(of.then[h][reference.group].sum())
+        sizes = int(group.sum()), int(reference.group.sum()), int(group[reference.group].sum())
+        row = int(reference.table.rows(sizes[0], np.array(liars), sizes[1], np.array(its), sizes[2]))
+        given = reference.table.density[row]
+        if reference.aside is not None:
+            lying = -1 if of.glitch[0, h] else int(now[reference.aside.present].sum())
+            row = int(reference.aside.table.rows(sizes[0], np.array(liars), np.array(lying)))
+            given = np.outer(given, reference.aside.table.density[row]).reshape(-1)
+        given_each.append(given)
+    total = of.weight @ np.array(given_each)
     return sum(
-        w * each[y] * math.log2(each[y] / total[y]) for w, each in zip(of.weight, given_each, strict=True) for y in each
+        w * p * math.log2(p / t)
+        for w, each in zip(of.weight, given_each, strict=True)
+        for p, t in zip(each, total, strict=True)
     )
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_information_equals_its_definition_and_no_pair_tells_more(seed: int) -> None:
+def sight(n: int, likelihood: Likelihood, *, aside: bool) -> Reference:
+    everyone = np.ones(n, dtype=bool)
+    beside = Aside(everyone, BesideTable(likelihood, n)) if aside else None
+    return Reference(everyone, likelihood.tables(n)[0], beside)
+
+
+@pytest.mark.parametrize("aside", [False, True])
+@pytest.mark.parametrize("seed", range(3))
+def test_information_equals_its_definition_and_no_group_tells_more(seed: int, aside: bool) -> None:
     n, likelihood, rng = 4, made_up(seed), np.random.default_rng(seed)
     of = outlook(doubted(n, likelihood, seed), rng, 10**6)
-    reference = Reference(np.ones(n, dtype=bool), likelihood.tables(n)[0])
-    plan = exhaustive([reference], of)
-    assert plan.gain == pytest.approx(slow_gain(list(plan.groups), reference, of, 4), rel=1e-6)
+    reference = sight(n, likelihood, aside=aside)
     groups = [members(n, group) for group in subsets(n) if 0 < len(group) < n]
-    alone = gain_of_one(outcomes(np.array(groups), reference, of), of.weight)
-    assert alone == pytest.approx([slow_gain([g], reference, of, 4) for g in groups], rel=1e-6, abs=1e-12)
-    for i in rng.integers(len(groups), size=(10, 2)):
-        if i[0] != i[1]:
-            assert slow_gain([groups[j] for j in i], reference, of, 4) <= plan.gain + 1e-9
+    gains = [slow_gain(group, reference, of) for group in groups]
+    assert gains_of(outcomes(np.array(groups), reference, of), of.weight) == pytest.approx(gains, rel=1e-6, abs=1e-12)
+    everyone = np.ones((1, n), dtype=bool)
+    look = best_look([reference], of, everyone[0], everyone, rng)
+    assert look.gain == pytest.approx(max(gains), rel=1e-6)
+    present = np.arange(n) != 2
+    seen = np.stack([present, np.arange(n) == 0])
+    look = best_look([reference], of, present, seen, rng)
+    left = [not group[2] and (seen != group).any(1).all() for group in groups]
+    among = [gain for gain, is_left in zip(gains, left, strict=True) if is_left]
+    assert look.gain == pytest.approx(max(among), rel=1e-6) and not look.group[2]
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_local_search_comes_near_the_exact_one(seed: int) -> None:
     likelihood, rng = Verifier(), np.random.default_rng(seed)
     of = outlook(doubted(5, likelihood, seed), rng, 10**6)
-    references = [Reference(np.ones(5, dtype=bool), likelihood.tables(5)[0])]
-    assert local(references, of, rng).gain >= 0.85 * exhaustive(references, of).gain
+    reference, present = sight(5, likelihood, aside=False), np.ones(5, dtype=bool)
+    seen = present[None]
+    assert climb(reference, of, present, seen, rng).gain >= 0.85 * exhaustive(reference, of, present, seen).gain
 
 
 def test_a_sample_of_hypotheses_stands_for_all() -> None:
@@ -304,7 +327,7 @@ def test_the_safest_group_is_worth_most(seed: int) -> None:
             total += p * worth[group.sum(), -1 if a and not posterior.sets[h].any() else liars]
         return total
 
-    best = safest(posterior, worth, barred, rng)
+    best = safest(posterior, worth, barred, np.ones(n, dtype=bool), rng)
     assert not (best & barred).any()
     assert expected(best) == pytest.approx(max(expected(members(n, g)) for g in subsets(3) if g))
 
@@ -353,6 +376,34 @@ def test_rows_of_a_table_by_hand() -> None:
     assert (density(3, -1, 2, 0) == likelihood.glitch()).all() and (density(3, 0, 2, -1) == likelihood.glitch()).all()
 
 
+def test_rows_beside_the_free_view_by_hand() -> None:
+    likelihood = made_up(3)
+    table = BesideTable(likelihood, 3)
+
+    def density(size: int, liars: int, lying: int) -> np.ndarray:
+        return table.density[int(table.rows(size, np.array(liars), np.array(lying)))]
+
+    assert (density(2, 1, 2) == likelihood.beside(2, 1, 3, 2)).all()
+    assert (density(1, 0, 0) == likelihood.beside(1, 0, 3, 0)).all()
+    assert density(1, 1, -1) == pytest.approx(table.density[:-1].mean(0))
+
+
+@given(st.integers(2, 40), st.data())
+def test_beside_a_free_view_of_any_size_who_lies_is_told_from_who_does_not(n: int, data: st.DataObject) -> None:
+    """Sizes that were not measured: in proportion, but no liar where there is none, and one where there is."""
+    likelihood = made_up(0, most=5)
+    size = data.draw(st.integers(1, n - 1))
+    lying = data.draw(st.integers(0, n - 1))
+    liars = data.draw(st.integers(max(size + lying - n, 0), min(size, lying)))
+    row = likelihood.beside(size, liars, n, lying)
+    alike = [
+        likelihood.beside(s, d, 5, k)
+        for s, d, k in liars_in_groups(5)
+        if bool(d) == bool(liars) and bool(k) == bool(lying)
+    ]
+    assert any((row == other).all() for other in alike)
+
+
 def test_bins() -> None:
     likelihood = Verifier()
     assert [likelihood.bin(s) for s in (-0.1, 0.0, 0.49, 0.5, 1.0, 1.1)] == [0, 0, 0, 1, 1, 1]
@@ -368,7 +419,9 @@ def test_likelihood_doors(tmp_path: Path) -> None:
         read_likelihood(tmp_path / "nowhere.json")
     good = json.loads(CALIBRATED.read_text())
     path = tmp_path / "likelihood.json"
-    breaks = {"edges": [0, 0.5], "tail": 2, "both": [1.0], "dirty": {"1": {"1": good["both"]}}, "clean": []}
+    breaks = {"edges": [0, 0.5], "tail": 2, "both": [1.0], "dirty": {"1": {"1": good["both"]}}, "clean": []} | {
+        "beside": []
+    }
     for name, value in breaks.items():
         path.write_text(json.dumps({**good, name: value}))
         with pytest.raises(ValueError, match=path.name):

@@ -1,14 +1,14 @@
-"""Attacks on the defence itself, under a verifier that sees every lie: PRBI as published, and corrected.
+"""Attacks on the defence itself, under a verifier that sees every lie: every serious defender, PRBI also corrected.
 
-    python examples/reproduce/prbi_attacks.py                                        # PRBI in four versions
-    python examples/reproduce/prbi_attacks.py --defenders prbi bayes --episodes 50   # any defenders
+    python examples/reproduce/prbi_attacks.py                                    # PRBI in four versions, and the others
+    python examples/reproduce/prbi_attacks.py --defenders prbi mine.BestPair     # any defenders
 
 "all along" is the paper's attack. "first frame": the frame that the paper trusts is a lie too. "every 3", "every 5":
 all lie in every third or fifth frame (Table 6). "turncoat": one of the liars is honest until frame 20. "out of step":
 one liar lies always, the others in every third frame. "all but one", "nobody": k = 4, and k = 0 for 1,000 frames.
 "framing": one vehicle's lie shows only in groups with vehicle 0, which is honest: no verdict on groups tells the two
-apart.
-A vehicle that appears or drops out cannot be played: a defender is told how many there are when an episode begins.
+apart. "appears": one of the liars is not there before frame 20. "drops out": an honest vehicle is away in frames 2 to
+21. "comes and goes": the liars are there in every third frame only, and lie then.
 
 sure: share of the episodes that have converged in the last frame; right: where exactly the liars are accused then; ID
 and MC: share of the liars and of the innocents accused then; fooled: frames of 40 (1,000) in which the ego acted on a
@@ -20,6 +20,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import tyro
@@ -30,7 +31,7 @@ from rich.table import Table
 from cp_env.evaluation.stage import open_defender
 from defenders import Defender
 from defenders.likeness import Group
-from defenders.perfect import Terms, every, turning
+from defenders.perfect import Schedule, Terms, every, turning
 from defenders.tally import Tally, members, play_many
 
 FIVE = Terms(n_vehicles=5, n_liars=2, max_frames=40, until_converged=False)
@@ -46,6 +47,25 @@ def framing(group: Group, lying: Group, rng: np.random.Generator) -> float:
     return float(not lying or 0 not in group)
 
 
+def late(frame: int, liars: Group) -> Group:
+    """The liar of highest number is not there before frame 20."""
+    return frozenset(sorted(liars)[-1:]) if frame < 20 else frozenset()
+
+
+def holiday(frame: int, liars: Group) -> Group:
+    """The honest vehicle of lowest number, but never the ego, is away in the frames 2 to 21."""
+    return frozenset({min({1, 2, 3, 4} - liars)}) if 2 <= frame < 22 else frozenset()
+
+
+def seldom_there(frame: int, liars: Group) -> Group:
+    """The liars, but never the ego, are away in two of three frames."""
+    return liars - {0} if (frame - 1) % 3 else frozenset()
+
+
+def absent(who: Schedule, **knobs: Any) -> Terms:
+    return replace(FIVE, absent=who, **knobs)
+
+
 SITUATIONS = {
     "all along": FIVE,
     "first frame": replace(FIVE, grace_frames=0),
@@ -56,8 +76,12 @@ SITUATIONS = {
     "all but one": replace(FIVE, n_liars=4),
     "nobody": replace(FIVE, n_liars=0, max_frames=1000),
     "framing": replace(FIVE, n_liars=1, honest={0}, likeness=framing),
+    "appears": absent(late),
+    "drops out": absent(holiday),
+    "comes and goes": absent(seldom_there, schedule=every(3, start=1)),
 }
 PRBI = ("prbi", "prbi:rearm=True", "prbi:stopping=robust", "prbi:stopping=robust,rearm=True")
+OTHERS = ("robosac", "pasac:score=similarity", "bayes:likelihood=perfect")
 
 
 @dataclass
@@ -65,7 +89,7 @@ class Args:
     episodes: int = 100
     """of each situation; of those of 1,000 frames, one in 25"""
     seed: int = 0
-    defenders: tuple[str, ...] = PRBI
+    defenders: tuple[str, ...] = (*PRBI, *OTHERS)
     out: Path = Path("out/prbi/attacks.json")
 
 

@@ -52,6 +52,7 @@ def situation(
         clean=model.perceive(received, coverage, torch.arange(n_worlds), everyone),
         attackers=attackers,
         fused=everyone,
+        present=everyone,
         active=torch.ones(n_worlds, dtype=torch.bool),
         frame=np.full(n_worlds, 3),
         budget=0.3,

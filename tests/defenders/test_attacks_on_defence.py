@@ -1,7 +1,4 @@
-"""Attacks on the defence itself, under a verifier that sees every lie: lies timed, hidden and placed to hurt PRBI.
-
-A defender is told how many vehicles there are when an episode begins, so none can appear or drop out.
-"""
+"""Attacks on the defence itself, under a verifier that sees every lie: lies timed, hidden and placed to hurt."""
 
 from __future__ import annotations
 

@@ -15,11 +15,11 @@ from defenders import Defender, Frame
 from defenders.perfect import PerfectWorld, Ruling
 
 FRAMES = 10
-PROTOCOL = {"index", "n_vehicles", "seen", "similarity", "agreement"}
+PROTOCOL = {"index", "n_vehicles", "present", "seen", "similarity", "agreement"}
 
 
 class Guard:
-    """A frame that has the protocol's five names and nothing else."""
+    """A frame that has the protocol's six names and nothing else."""
 
     def __init__(self, frame: Frame) -> None:
         self._shown = {name: getattr(frame, name) for name in PROTOCOL}
@@ -72,6 +72,19 @@ def test_groups_and_verdicts_hold_vehicles_only(defender: Defender, n: int) -> N
             assert verdict.suspects <= everyone
             assert not verdict.suspects & verdict.collaborators, "nobody accused is fused"
             assert all(group and group <= everyone for group in ruling.groups)
+
+
+@pytest.mark.parametrize("n", [2, 5, 8])
+def test_vehicles_appear_and_drop_out(defender: Defender, n: int) -> None:
+    """Whoever is there: a group or a verdict with nobody present would be a QueryError."""
+    for seed in range(3):
+        world = begin(defender, n, seed)
+        away = np.random.default_rng(seed).random((FRAMES, n)) < 0.5
+        away[:, 0] = False
+        world.absent = lambda frame, liars, away=away: frozenset(np.flatnonzero(away[frame]).tolist())
+        for _ in range(FRAMES):
+            verdict = world.judge(defender).verdict
+            assert not verdict.suspects & verdict.collaborators
 
 
 @pytest.mark.parametrize("n", [2, 5, 8])

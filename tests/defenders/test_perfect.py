@@ -13,7 +13,7 @@ import defenders
 from defenders import EgoOnly, NoDefence, Prbi, Query, QueryError, Verdict
 from defenders.likeness import ErrorRates, Measured, exact
 from defenders.perfect import PerfectWorld, Terms, always, every, play, turning
-from defenders.protocol import Frame, Inspection
+from defenders.protocol import Defender, Frame, Inspection
 from defenders.tally import members, play_many
 
 LIARS = frozenset({1, 4})
@@ -237,3 +237,32 @@ def test_other_bad_doors() -> None:
     with pytest.raises(ValueError, match="late"):
         turning(3, late=0)
     assert exact(frozenset({1}), frozenset(), np.random.default_rng(0)) == 1.0
+
+
+def test_who_is_absent_is_in_no_view_and_lies_to_nobody() -> None:
+    world = PerfectWorld(
+        4, frozenset({2}), absent=lambda frame, liars: frozenset({2, 3}) if frame == 1 else frozenset()
+    )
+    frames = [world.show(lying=True) for _ in range(2)]
+    assert [frame.present for frame in frames] == [{0, 1, 2, 3}, {0, 1}]
+    assert world.lying == frozenset() and world.look({0, 2}) == world.look({0})
+    assert frames[1].similarity(frames[1].seen, world.look({1})) == 1
+
+
+@pytest.mark.parametrize("groups, fused", [([{2}], {0}), ([], {2})])
+def test_a_group_or_a_verdict_of_nobody_present_is_an_error(groups: list[set[int]], fused: set[int]) -> None:
+    class Lonely(Defender):
+        def reset(self, n_vehicles: int, rng: np.random.Generator) -> None: ...
+
+        def inspect(self, frame: Frame) -> Inspection:
+            yield Query(groups)
+            return Verdict(fused)
+
+    world = PerfectWorld(3, frozenset(), absent=lambda frame, liars: frozenset({2}))
+    with pytest.raises(QueryError, match=r"present in this frame are \[0, 1\]"):
+        world.judge(Lonely())
+
+
+def test_the_ego_is_always_there() -> None:
+    with pytest.raises(ValueError, match="ego"):
+        PerfectWorld(3, frozenset(), absent=lambda frame, liars: frozenset({0})).show(lying=False)

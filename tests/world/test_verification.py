@@ -143,7 +143,7 @@ def test_generators_are_closed_when_the_eyes_fail() -> None:
 
 def test_a_frame_shows_nothing_about_lies() -> None:
     shown = {name for name in dir(Frame(0, N, view_of({0}))) if not name.startswith("_")}
-    assert shown == {"index", "n_vehicles", "seen", "similarity", "agreement"}
+    assert shown == {"index", "n_vehicles", "present", "seen", "similarity", "agreement"}
 
 
 def test_similarities_foreseen_are_those_computed_when_asked() -> None:
