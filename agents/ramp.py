@@ -35,8 +35,8 @@ class Ramp:
 
 
 def ramp(
-    rate: float = 0.05,
-    first: float = 0.1,
+    rate: float = 0.3,
+    first: float = 0.2,
     onset: int = 1,
     ceiling: float = 1.0,
     spacing: float = 12.0,
