@@ -32,7 +32,7 @@ MEMORY_SIZE = 64
 """Hidden units of a recurrent policy's LSTM."""
 
 
-def make_ppo(env: VecEnv, seed: int, *, recurrent: bool = False, **knobs: Any) -> OnPolicyAlgorithm:
+def make_ppo(env: VecEnv, seed: int | None, *, recurrent: bool = False, **knobs: Any) -> OnPolicyAlgorithm:
     """A fresh learner on the CPU; `knobs` override `PPO_KNOBS`.
 
     Raises ValueError if a recurrent one is asked for and sb3-contrib is not installed.
