@@ -72,5 +72,5 @@ clean: ## forget the virtual environments
 $(READY): pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
 	$(PIP) install --quiet --retries 1 --no-deps $(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX)) $(TORCH)
-	$(PIP) install --quiet -c constraints.txt -e '.[dev,train]'
+	$(PIP) install --quiet -c constraints.txt -e '.[dev,train,recurrent]'
 	touch $@

@@ -21,7 +21,7 @@ Look = dict[str, float]
 
 
 class Holdout(BaseCallback):
-    """Plays the policy on scenes not trained on: after every `every` rollouts, and at the end of `learn`.
+    """Plays the policy on scenes not trained on: before it learns, after every `every` rollouts, at the end of `learn`.
 
     Each look is added to the learning curve, `curve.json` in `folder`; the policy that did most damage so far is kept
     there as `policy.safetensors`. A learner that goes on from a checkpoint goes on with the curve that led to it.
@@ -53,6 +53,8 @@ class Holdout(BaseCallback):
     def _on_training_start(self) -> None:
         self._rollouts = 0
         self.curve = [look for look in self.curve if look["frames"] <= self._now]
+        if not self.curve:
+            self._look()
 
     def _on_rollout_start(self) -> None:
         if self._rollouts and self._rollouts % self.every == 0:

@@ -33,6 +33,14 @@ from cp_env.intervals import t_interval
 from cp_env.rendering import write_gif
 
 HEADINGS = {"damage per episode": "damage", "liars left out": "excluded", "looks a frame": "verifications"}
+TOLD = {
+    "prbi": "in_loop:threshold=0.35,steps=8",
+    "robosac": "in_loop:reference=ego,threshold=0.3,steps=8",
+    "pasac:score=similarity": "in_loop:reference=ego,groups=halves,threshold=0.37,steps=6",
+    "bayes": "in_loop:threshold=0.8,steps=8",
+}
+"""Chosen on calibration scenes, see examples/reproduce/adaptive_attacks.py."""
+
 SHIPPED = {name: load_policy(name).defender for name in policy_names()}
 
 
@@ -40,14 +48,16 @@ SHIPPED = {name: load_policy(name).defender for name in policy_names()}
 class Args:
     defenders: list[str] = field(default_factory=lambda: sorted(set(SHIPPED.values())))
     """whom they meet"""
-    attackers: list[str] = field(default_factory=lambda: ["none", "random", "pgd"])
+    attackers: list[str] = field(default_factory=lambda: ["random", "pgd", "ramp:rate=0.3,first=0.2,steps=8"])
     """scripted ones: names of agents.names(), with knobs if need be"""
+    told: dict[str, str] = field(default_factory=lambda: dict(TOLD))
+    """the scripted one that is told what a defender compares, by defender"""
     policies: list[str] = field(default_factory=list)
     """learned ones, names or .safetensors files; if none is given, those that ship for the defender"""
     scenes: str = "town/test"
-    n_scenes: int = 9
+    n_scenes: int = 6
     """how many of them, one episode each"""
-    batch: int = 9
+    batch: int = 6
     """worlds stepped together"""
     frames: int = 50
     """length of an episode"""
@@ -65,7 +75,7 @@ def main(args: Args) -> None:
     torch.set_num_threads(1)
     bank = open_bank(args.scenes, args.n_scenes)
     protocol = Protocol(scenes=bank.source, names=bank.source.names(), frames=args.frames)
-    cells = [(defender, spec) for defender in args.defenders for spec in [*args.attackers, *learned(defender, args)]]
+    cells = [(d, spec) for d in args.defenders for spec in [*scripted(d, args), *learned(d, args)]]
     played = {(defender, spec): _play(defender, spec, protocol, args) for defender, spec in track(cells, "playing")}
     text = "\n".join(line for defender in args.defenders for line in report(played, defender, args))
     (args.out / "attackers.md").write_text(text + "\n")
@@ -81,6 +91,11 @@ def main(args: Args) -> None:
         console.print(f"wrote {write_gif(pictures, args.out / 'attacker.gif')}")
 
 
+def scripted(defender: str, args: Args) -> list[str]:
+    """Specs of the attackers that nobody trained."""
+    return [*args.attackers, *([args.told[defender]] if defender in args.told else [])]
+
+
 def learned(defender: str, args: Args) -> list[str]:
     """Specs of the policies that meet a defender."""
     return [f"policy:name={n}" for n in args.policies or [n for n, d in SHIPPED.items() if d == defender]]
@@ -93,17 +108,17 @@ def best(policies: list[str]) -> str:
 
 def _play(defender: str, spec: str, protocol: Protocol, args: Args) -> Episodes:
     """The attacker's episodes, from the disk if they are there."""
-    asked = {"attacker": spec, **protocol.describe(), "k": args.k, "seed": args.seed, "batch": args.batch}
+    name, knobs = parse(spec)
+    attacker = make_attacker(name, **knobs)
+    asked = {"attacker": spec, **protocol.describe(), "k": args.k, "seed": args.seed}
+    asked["trained"] = getattr(attacker, "notes", None)  # a policy trained anew under its old name is another one
     path = args.out / slug(defender) / f"{file_words(spec)}.json"
     if path.exists():
         stored = json.loads(path.read_text())
         if stored["asked"] == asked:
             return Episodes(**{key: np.array(values) for key, values in stored["episodes"].items()})
     bank = open_bank(args.scenes, args.n_scenes)
-    name, knobs = parse(spec)
-    episodes = play(
-        make_attacker(name, **knobs), protocol, bank, defender=defender, k=args.k, seed=args.seed, batch=args.batch
-    )
+    episodes = play(attacker, protocol, bank, defender=defender, k=args.k, seed=args.seed, batch=args.batch)
     write_atomically(path, json.dumps({"asked": asked, "episodes": _lists(episodes)}))
     return episodes
 
@@ -125,7 +140,7 @@ def report(played: dict[tuple[str, str], Episodes], defender: str, args: Args) -
     if policies:
         strongest = best(policies)
         yield f"\n{strongest} was the strongest on its calibration scenes. Paired by scene, it does more damage than"
-        for spec in args.attackers:
+        for spec in scripted(defender, args):
             more = t_interval(rows[strongest].damage - rows[spec].damage)
             ratio = rows[strongest].damage.sum() / max(rows[spec].damage.sum(), 1e-9)
             yield f"* {spec} by {format(more, '.1f')}" + (f", {ratio:.1f} times as much" if ratio < 1e6 else "")

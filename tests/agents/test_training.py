@@ -49,7 +49,7 @@ def test_a_killed_run_goes_on_as_if_nothing_had_happened(tmp_path: Path, knobs: 
         pytest.importorskip("sb3_contrib")
     recipe = replace(SMALL, **knobs)
     curve = train(recipe, tmp_path / "whole")
-    assert [look["frames"] for look in curve] == [6, 12]
+    assert [look["frames"] for look in curve] == [0, 6, 12]
 
     def kill(frames: int) -> None:
         if frames == 8:
@@ -57,7 +57,7 @@ def test_a_killed_run_goes_on_as_if_nothing_had_happened(tmp_path: Path, knobs: 
 
     with pytest.raises(Killed):
         train(recipe, tmp_path / "killed", tell=kill)
-    assert len(read_curve(tmp_path / "killed")) == 1
+    assert len(read_curve(tmp_path / "killed")) == 2
     seen: list[int] = []
     assert train(recipe, tmp_path / "killed", tell=seen.append) == curve
     assert seen == [8, 10, 12]  # the first segment is not played again
