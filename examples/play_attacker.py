@@ -33,13 +33,15 @@ from cp_env.intervals import t_interval
 from cp_env.rendering import write_gif
 
 HEADINGS = {"damage per episode": "damage", "liars left out": "excluded", "looks a frame": "verifications"}
+COMMON = ["pgd", "random", "ramp:rate=0.3,first=0.2,steps=8"]
+
 TOLD = {
     "prbi": "in_loop:threshold=0.35,steps=8",
     "robosac": "in_loop:reference=ego,threshold=0.3,steps=8",
     "pasac:score=similarity": "in_loop:reference=ego,groups=halves,threshold=0.37,steps=6",
     "bayes": "in_loop:threshold=0.8,steps=8",
 }
-"""Chosen on calibration scenes, see examples/reproduce/adaptive_attacks.py."""
+"""What each defender compares, its attacker in the loop is told; see examples/reproduce/adaptive_attacks.py."""
 
 SHIPPED = {name: load_policy(name).defender for name in policy_names()}
 
@@ -48,16 +50,14 @@ SHIPPED = {name: load_policy(name).defender for name in policy_names()}
 class Args:
     defenders: list[str] = field(default_factory=lambda: sorted(set(SHIPPED.values())))
     """whom they meet"""
-    attackers: list[str] = field(default_factory=lambda: ["random", "pgd", "ramp:rate=0.3,first=0.2,steps=8"])
-    """scripted ones: names of agents.names(), with knobs if need be"""
-    told: dict[str, str] = field(default_factory=lambda: dict(TOLD))
-    """the scripted one that is told what a defender compares, by defender"""
+    attackers: list[str] = field(default_factory=list)
+    """scripted ones, names of agents.names(), with knobs if need be; if none is given, COMMON and the one that is TOLD"""
     policies: list[str] = field(default_factory=list)
     """learned ones, names or .safetensors files; if none is given, those that ship for the defender"""
     scenes: str = "town/test"
-    n_scenes: int = 6
+    n_scenes: int = 3
     """how many of them, one episode each"""
-    batch: int = 6
+    batch: int = 3
     """worlds stepped together"""
     frames: int = 50
     """length of an episode"""
@@ -75,7 +75,7 @@ def main(args: Args) -> None:
     torch.set_num_threads(1)
     bank = open_bank(args.scenes, args.n_scenes)
     protocol = Protocol(scenes=bank.source, names=bank.source.names(), frames=args.frames)
-    cells = [(d, spec) for d in args.defenders for spec in [*scripted(d, args), *learned(d, args)]]
+    cells = [(d, spec) for d in args.defenders for spec in [*learned(d, args), *scripted(d, args)]]
     played = {(defender, spec): _play(defender, spec, protocol, args) for defender, spec in track(cells, "playing")}
     text = "\n".join(line for defender in args.defenders for line in report(played, defender, args))
     (args.out / "attackers.md").write_text(text + "\n")
@@ -93,7 +93,7 @@ def main(args: Args) -> None:
 
 def scripted(defender: str, args: Args) -> list[str]:
     """Specs of the attackers that nobody trained."""
-    return [*args.attackers, *([args.told[defender]] if defender in args.told else [])]
+    return args.attackers or [*(spec for met, spec in TOLD.items() if met == defender), *COMMON]
 
 
 def learned(defender: str, args: Args) -> list[str]:
