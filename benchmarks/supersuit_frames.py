@@ -2,7 +2,7 @@
 
     make library-supersuit && .venv-supersuit/bin/python -m benchmarks.supersuit_frames
 
-Both learn from the same eight worlds (a toy crossing, the detector that ships, PRBI, two liars of five), one torch thread
+Both learn from the same worlds (a toy crossing, the detector that ships, PRBI, two liars of five), one torch thread
 and one process; seconds are the processor's, the rounds of the two alternate.
 """
 
@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import supersuit
 import torch
+import tyro
 from stable_baselines3.common.vec_env import VecEnv
 
 import cp_env
@@ -23,42 +24,51 @@ from agents.sb3 import make_vec_env
 from agents.scenes import Some
 from tests.toy import ToySource
 
-WORLDS, STEPS, ROUNDS, LIARS = 8, 16, 3, 2
-
 SCENE = Some(ToySource(n_frames=12), 1)
+LIARS = 2
 
 
-def native(**knobs: Any) -> VecEnv:
-    return make_vec_env(WORLDS, **knobs)
+@dataclass
+class Args:
+    worlds: int = 8
+    steps: int = 16
+    """frames of a rollout"""
+    rounds: int = 3
 
 
-def through_supersuit(**knobs: Any) -> VecEnv:
+def native(worlds: int, **knobs: Any) -> VecEnv:
+    return make_vec_env(worlds, **knobs)
+
+
+def through_supersuit(worlds: int, **knobs: Any) -> VecEnv:
     world = supersuit.pettingzoo_env_to_vec_env_v1(cp_env.parallel_env(observation="compact", **knobs))
-    return supersuit.concat_vec_envs_v1(world, WORLDS, num_cpus=0, base_class="stable_baselines3")
+    return supersuit.concat_vec_envs_v1(world, worlds, num_cpus=0, base_class="stable_baselines3")
 
 
-def seconds(make: Callable[..., VecEnv], **knobs: Any) -> float:
+def seconds(make: Callable[..., VecEnv], args: Args, **knobs: Any) -> float:
     """Of one rollout and one update. No seed: the other way has no use for one."""
-    env = make(**knobs)
+    env = make(args.worlds, **knobs)
     env.reset()
-    model = make_ppo(env, None, n_steps=STEPS, batch_size=64)
+    model = make_ppo(env, None, n_steps=args.steps, batch_size=64)
     start = time.process_time()
-    model.learn(STEPS * WORLDS * LIARS)
+    model.learn(args.steps * args.worlds * LIARS)
     return time.process_time() - start
 
 
-def main() -> None:
+def main(args: Args) -> None:
     torch.set_num_threads(1)
     for action in ("guided", "basis"):
         knobs = {"scenes": SCENE, "action": action, "knowledge": "gray-box", "max_frames": 10, "n_attackers": LIARS}
-        rows = np.array([[seconds(make, **knobs) for make in (native, through_supersuit)] for _ in range(ROUNDS)])
-        ours, theirs = WORLDS * STEPS / rows.T
-        print(
-            f"{action}: native {ours.max():.1f} frames/s (median {np.median(ours):.1f}), "
-            f"SuperSuit {theirs.max():.1f} ({np.median(theirs):.1f}), ratio of medians "
-            f"{np.median(ours) / np.median(theirs):.2f}, of pairs {(ours / theirs).min():.2f} to {(ours / theirs).max():.2f}"
+        rows = np.array(
+            [[seconds(make, args, **knobs) for make in (native, through_supersuit)] for _ in range(args.rounds)]
         )
+        ours, theirs = args.worlds * args.steps / rows.T
+        ratio = ours / theirs
+        print(
+            f"{action}, frames/s: native {np.median(ours):.1f}, SuperSuit {np.median(theirs):.1f} (medians of rounds)"
+        )
+        print(f"  native over SuperSuit: {np.median(ratio):.2f} ({ratio.min():.2f} to {ratio.max():.2f})")
 
 
 if __name__ == "__main__":
-    main()
+    main(tyro.cli(Args))

@@ -51,7 +51,7 @@ class Args:
     defenders: list[str] = field(default_factory=lambda: sorted(set(SHIPPED.values())))
     """whom they meet"""
     attackers: list[str] = field(default_factory=list)
-    """scripted ones, names of agents.names(), with knobs if need be; if none is given, COMMON and the one that is TOLD"""
+    """scripted ones, specs such as pgd:steps=30; if none is given, COMMON and the one that is TOLD"""
     policies: list[str] = field(default_factory=list)
     """learned ones, names or .safetensors files; if none is given, those that ship for the defender"""
     scenes: str = "town/test"
