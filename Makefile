@@ -16,7 +16,7 @@ LEADERBOARD ?= --n-scenes 3 --frames 10 --batch 3 --ks 2 1 3 4 --budgets 0.3 0.1
 	--attackers none pgd noise policy:name=prbi-0 in_loop sacrifice blind ramp framing eot
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: demo test lint bench devkit docs libraries $(LIBRARIES:%=library-%) ray leaderboard sumo record clean
+.PHONY: demo test lint bench attacks devkit docs libraries $(LIBRARIES:%=library-%) ray leaderboard sumo record clean
 .DEFAULT_GOAL := demo
 
 demo: $(READY) ## the small benchmark: a table on screen, out/demo/ on disk with the picture of one episode
@@ -33,6 +33,11 @@ lint: $(READY) ## style, types, import contracts
 
 bench: $(READY) ## speed, on one torch thread
 	$(BIN)/python -m pytest benchmarks --benchmark-only --benchmark-columns=median,iqr,rounds
+
+attacks: $(READY) ## our PGD and BIM beside a public library's: the same loss, and the speed of both
+	$(PIP) install --quiet -c constraints.txt -e '.[attacks-check]'
+	$(BIN)/python -m pytest tests/agents/test_foolbox.py $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -s benchmarks/test_attacks.py -k foolbox
 
 devkit: $(READY) ## load exported scenes in the nuScenes devkit, in an environment of its own (numpy < 2), and compare
 	test -x $(DEVKIT)/bin/python || $(PYTHON) -m venv $(DEVKIT)

@@ -14,7 +14,7 @@ from agents.ball import Domain, make_ball
 from agents.objective import make_objective
 from agents.protocol import Streams, streams
 from agents.schedule import Allowance, Schedule, always, make_schedule, whole
-from agents.steepest import Search, Steepest
+from agents.steepest import Search, Steepest, better
 from agents.views import Audience, Goal, Views, attack_loss, make_audience, survey
 from cp_env.world import Situation
 
@@ -28,7 +28,8 @@ class Ascent:
 
     search        how: `Steepest` (PGD, BIM, MI-FGSM) or `CarliniWagner`
     random_start  from a random point of the ball, or from zero
-    restarts      so many random starts; the best end is kept
+    restarts      so many starts, the best end is kept; beyond the first, zero is among them and the others are random,
+                  so that more of them are never weaker than PGD or BIM
     objective     what: `both`, `hide`, `spoof`, `remove@…`, `plant@…`, or any `Goal`
     audience      whose view: of "everyone" fused, Eq. (1), by liars that know of no defence and never pause; of those
                   the ego "fused" last, by liars that do: the excluded have no effect and pause; or any `Audience`
@@ -50,11 +51,8 @@ class Ascent:
     _streams: list[np.random.Generator] = field(default_factory=list, init=False, repr=False)
 
     def __post_init__(self) -> None:
-        if self.restarts < 1 or (self.restarts > 1 and not self.random_start):
-            raise ValueError(
-                f"restarts must be at least 1, and need random_start=True to differ; got restarts={self.restarts}, "
-                f"random_start={self.random_start}"
-            )
+        if self.restarts < 1:
+            raise ValueError(f"restarts counts the starts and must be at least 1, got {self.restarts}")
         self._goal, self._audience = make_objective(self.objective), make_audience(self.audience)
         self._schedule = make_schedule(self.schedule)
 
@@ -68,33 +66,34 @@ class Ascent:
         if len(views.world):
             domain = self._domain(views)
             loss = attack_loss(views, self._goal)
-            best, best_value = self.search(loss, self._start(views, delta), domain)
-            for _ in range(1, self.restarts):
-                found, value = self.search(loss, self._start(views, delta), domain)
-                better = value > best_value
-                best = torch.where(better[:, None, None, None, None], found, best)
-                best_value = torch.where(better, value, best_value)
+            from_zero = int(self.random_start)  # the number of the start that is no random one
+            starts = (self._start(views, delta, random=i != from_zero) for i in range(self.restarts))
+            best, best_value = self.search(loss, next(starts), domain)
+            for start in starts:
+                best, best_value = better(best, best_value, *self.search(loss, start, domain))
             delta[views.world[:, None], views.slots] = best
         return delta
 
     def _domain(self, views: Views) -> Domain:
         """Where the teams' δ may lie."""
         situation = views.situation
-        share = torch.from_numpy(np.asarray(self.allowance(situation.frame), dtype=np.float32))
-        if not bool(((share >= 0) & (share <= 1)).all()):
-            raise ValueError(f"an allowance is a share of the budget, 0 to 1, in each world; got {share.tolist()}")
+        share = np.asarray(self.allowance(situation.frame), dtype=np.float32)
+        if share.shape != situation.frame.shape or not ((share >= 0) & (share <= 1)).all():
+            raise ValueError(f"an allowance is a share of the budget, 0 to 1, for each world; got {share.tolist()}")
         cells = None
         if self.where is not None:
             mask, shape = self.where(situation), (*situation.attackers.shape, *situation.received.shape[-2:])
             if tuple(mask.shape) != shape:
                 raise ValueError(f"where must give cells of shape [E, k, H, W] = {shape}, not {tuple(mask.shape)}")
             cells = (mask[views.world[:, None], views.slots] > 0).to(situation.received)[:, :, None]
-        radius = share.to(situation.received)[views.world][:, None, None, None, None]
-        return Domain(situation.norm, situation.budget, radius, cells)
+        if (share == 1).all():
+            return Domain(situation.norm, situation.budget, cells=cells)
+        shares = torch.from_numpy(share).to(situation.received)[views.world]
+        return Domain(situation.norm, situation.budget, shares[:, None, None, None, None], cells)
 
-    def _start(self, views: Views, zero: Float[Tensor, "E k C H W"]) -> Float[Tensor, "T m C H W"]:
+    def _start(self, views: Views, zero: Float[Tensor, "E k C H W"], *, random: bool) -> Float[Tensor, "T m C H W"]:
         """Zero for liars without effect, so that they stay there."""
-        if not self.random_start:
+        if not random:
             return zero[views.world[:, None], views.slots]
         ball, (k, c, h, w), start = make_ball(views.situation.norm), zero.shape[1:], torch.zeros_like(zero)
         for e in views.world.unique().tolist():

@@ -25,7 +25,7 @@ class Ball(Protocol):
         ...
 
     def steepest(self, gradient: Float[Tensor, "*b C H W"]) -> Float[Tensor, "*b C H W"]:
-        """The direction of unit norm that climbs fastest; zero where the gradient is."""
+        """The direction of unit norm that climbs fastest, a new tensor; zero where the gradient is."""
         ...
 
     def project(self, delta: Float[Tensor, "*b C H W"], budget: float | Tensor) -> Float[Tensor, "*b C H W"]:
@@ -79,11 +79,11 @@ class Domain:
 
     norm: str
     budget: float  # Δ
-    share: Float[Tensor, "T 1 1 1 1"]  # of Δ, 0 to 1
+    share: float | Float[Tensor, "T 1 1 1 1"] = 1.0  # of Δ, 0 to 1; one for all teams, or one for each
     cells: Float[Tensor, "T m 1 H W"] | None = None  # 1 or 0; all by default
 
     @property
-    def radius(self) -> Float[Tensor, "T 1 1 1 1"]:
+    def radius(self) -> float | Float[Tensor, "T 1 1 1 1"]:
         """The largest ‖δ‖."""
         return self.budget * self.share
 
@@ -92,8 +92,9 @@ class Domain:
         return delta if self.cells is None else delta * self.cells
 
     def steepest(self, gradient: Float[Tensor, "T m C H W"]) -> Float[Tensor, "T m C H W"]:
-        """The direction of unit norm that climbs fastest on the cells."""
-        return make_ball(self.norm).steepest(self.mask(gradient))
+        """The direction that climbs fastest on the cells, of norm `share`: steps shrink with the ball. A new tensor."""
+        direction = make_ball(self.norm).steepest(self.mask(gradient))
+        return direction * self.share if isinstance(self.share, Tensor) else direction
 
     def project(self, delta: Float[Tensor, "T m C H W"]) -> Float[Tensor, "T m C H W"]:
         """The nearest point of the domain."""

@@ -22,7 +22,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from agents.ball import MAP, Domain
-from agents.steepest import Found, check_steps
+from agents.steepest import Found, better, check_steps
 from agents.views import Loss
 
 
@@ -50,19 +50,19 @@ class CarliniWagner:
             return start, start.new_zeros(len(start))
         inside, outside, size = SPACES[domain.norm]
         entries = 1 if domain.norm == "linf" else math.prod(start.shape[-3:])
-        w = outside(start / domain.radius.clamp(min=torch.finfo(start.dtype).tiny)).requires_grad_()
+        radius = torch.as_tensor(domain.radius, dtype=start.dtype, device=start.device)
+        w = outside(start / radius.clamp(min=torch.finfo(start.dtype).tiny)).requires_grad_()
         adam = torch.optim.Adam([w], lr=self.step_size / domain.budget / math.sqrt(entries))
-        best, lowest = start, start.new_full((len(start),), torch.inf)
+        best, best_value = start, start.new_full((len(start),), -torch.inf)
         for step in range(self.steps + 1):
             part = domain.mask(inside(w))  # δ as a part of the largest
-            value = size(part).sum(1) - self.c * loss(domain.radius * part)
-            better = value.detach() < lowest
-            best = torch.where(better[:, None, None, None, None], (domain.radius * part).detach(), best)
-            lowest = torch.where(better, value.detach(), lowest)
+            delta = radius * part
+            value = self.c * loss(delta) - size(part).sum(1)
+            best, best_value = better(best, best_value, delta.detach(), value.detach())
             if step < self.steps:
-                (w.grad,) = torch.autograd.grad(value.sum(), w)
+                (w.grad,) = torch.autograd.grad(-value.sum(), w)
                 adam.step()
-        return best, -lowest
+        return best, best_value
 
 
 EDGE = 1 - 1e-3

@@ -44,15 +44,23 @@ class Steepest:
         for step in range(self.steps + 1):
             leaf = delta.detach().requires_grad_(step < self.steps)
             value = loss(leaf)
-            better = value.detach() > best_loss
-            best = torch.where(better[:, None, None, None, None], leaf.detach(), best)
-            best_loss = torch.where(better, value.detach(), best_loss)
+            best, best_loss = better(best, best_loss, leaf.detach(), value.detach())
             if step < self.steps:
                 (direction,) = torch.autograd.grad(value.sum(), leaf)
                 if velocity is not None:
                     direction = velocity = self.momentum * velocity + _unit(direction)
-                delta = domain.project(leaf.detach() + self.step_size * domain.share * domain.steepest(direction))
+                delta = domain.project(domain.steepest(direction).mul_(self.step_size).add_(delta))
         return best, best_loss
+
+
+def better(
+    best: Float[Tensor, "T m C H W"], best_value: Float[Tensor, " T"], found: Tensor, value: Tensor
+) -> tuple[Float[Tensor, "T m C H W"], Float[Tensor, " T"]]:
+    """For each team the δ of the higher value, the first of equals; where all improve, as most steps do, no copy."""
+    improved = value > best_value
+    if bool(improved.all()):
+        return found, value
+    return torch.where(improved[:, None, None, None, None], found, best), torch.where(improved, value, best_value)
 
 
 def check_steps(steps: int, step_size: float) -> None:

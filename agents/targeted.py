@@ -19,7 +19,7 @@ from cp_env.detector.adversarial import MARGIN, REACH
 from cp_env.detector.decoder import Dense, cell_centres
 from cp_env.world import Situation
 
-Numbers = Sequence[float] | Float[Tensor, "*E n"]
+Numbers = Sequence[float] | Sequence[Sequence[float]] | np.ndarray | Tensor
 Place = Callable[[Situation], Float[Tensor, "E n"]]
 """Where, in each world: (x, y), or a whole box (x, y, length, width, yaw); m and rad. NaN where there is nothing."""
 

@@ -40,6 +40,10 @@ BLOCK = 4
 REACH = 2.0
 """Drift of a box component (m, log m or unit vector) beyond which it counts no more: no overlap is left."""
 
+STILL = 1e-4
+"""Drift of a box component below which it has not moved. An unperturbed view differs from the clean one by rounding
+only, and a lie that starts there would be pulled wherever the rounding points, which depends on the batch."""
+
 Weight = float | Float[Tensor, " B"]
 
 
@@ -67,18 +71,21 @@ def distance_from(
     clean: Dense, *, hide: Weight, spoof: Weight, drift: Weight, where: Float[Tensor, "B h w"] | None = None
 ) -> Loss:
     """`adversarial_loss` as a function of `dense`, for a `clean` that stays: what depends on it alone is done once."""
-    logits, boxes = clean.logits.detach(), clean.boxes.detach()
     objects = object_cells(clean)
     count = objects.sum((-2, -1)).clamp(min=1.0)
-    weights = objects if where is None else objects * where
     taken = _near(objects)
-    shown, ghosts = _capped(-logits), _ghosts(logits, taken, where)
+    weights = objects if where is None else objects * where
+    view, row, column = weights.nonzero(as_tuple=True)  # few: the boxes of all other cells need not be looked at
+    conceal, displace = (weights[view, row, column] * _of_each(w, count)[view] for w in (hide, drift))
+    shown, box = _capped(-clean.logits.detach()[view, row, column]), clean.boxes.detach()[view, :, row, column]
+    ghosts = _ghosts(clean.logits.detach(), taken, where)
 
     def loss(dense: Dense) -> Float[Tensor, " B"]:
-        hidden = _capped(-dense.logits) - shown
-        drifted = (dense.boxes - boxes).abs().clamp(max=REACH).mean(1)
-        on_objects = hide * (weights * hidden).sum((-2, -1)) + drift * (weights * drifted).sum((-2, -1))
-        return (on_objects + spoof * (_ghosts(dense.logits, taken, where) - ghosts)) / count
+        hidden = _capped(-dense.logits[view, row, column]) - shown
+        moved = (dense.boxes[view, :, row, column] - box).abs()
+        drifted = functional.threshold(moved, STILL, 0.0).clamp(max=REACH).mean(1)
+        invented = spoof * (_ghosts(dense.logits, taken, where) - ghosts)
+        return invented.index_add(0, view, conceal * hidden + displace * drifted) / count
 
     return loss
 
@@ -121,6 +128,11 @@ def lies(
         return detector.decode(honest + ((warped if one_each else warped[world]) * share).sum(1))
 
     return linear
+
+
+def _of_each(weight: Weight, like: Float[Tensor, " B"]) -> Float[Tensor, " B"]:
+    """The weight of each view."""
+    return torch.as_tensor(weight, dtype=like.dtype, device=like.device).expand(len(like))
 
 
 def _capped(logits: Float[Tensor, "..."]) -> Float[Tensor, "..."]:

@@ -9,6 +9,8 @@ Poses that shift by whole cells, as all grid frames on one lattice do, are not s
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -40,7 +42,8 @@ def warp(
         )
     cells = _whole_cells(ego_T_sender, maps.shape[-1], extent)
     if cells is not None:
-        return _shifted(maps, cells)
+        moved: Tensor = _Shift.apply(maps, cells)
+        return moved
     x, y = sender_points(ego_T_sender.to(maps.dtype), maps.shape[-1], extent)
     grid = torch.stack([x, y], dim=-1).reshape(-1, *x.shape[-2:], 2)
     flat = functional.grid_sample(maps.reshape(-1, *maps.shape[-3:]), grid, padding_mode="zeros", align_corners=False)
@@ -56,14 +59,32 @@ def _whole_cells(ego_T_sender: Float[Tensor, "*n 3"], size: int, extent: float) 
     return [(int(column), int(row)) for column, row in whole.tolist()]
 
 
+class _Shift(torch.autograd.Function):
+    """Maps moved by whole cells. The adjoint of a shift is the shift back; slices and paddings would copy more."""
+
+    @staticmethod
+    def forward(ctx: Any, maps: Float[Tensor, "*n C H W"], cells: list[tuple[int, int]]) -> Float[Tensor, "*n C H W"]:
+        ctx.cells = cells
+        return _shifted(maps, cells)
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, None]:
+        (gradient,) = gradients
+        back: Tensor = _Shift.apply(gradient, [(-column, -row) for column, row in ctx.cells])
+        return back, None
+
+
 def _shifted(maps: Float[Tensor, "*n C H W"], cells: list[tuple[int, int]]) -> Float[Tensor, "*n C H W"]:
-    """The maps moved by whole cells, zeros following."""
-    size, moved = maps.shape[-1], []
-    for one, shift in zip(maps.reshape(-1, *maps.shape[-3:]), cells, strict=True):
+    """The maps moved by (columns, rows), zeros following."""
+    size = maps.shape[-1]
+    moved = torch.zeros(maps.shape, dtype=maps.dtype, device=maps.device)
+    pairs = zip(maps.reshape(-1, *maps.shape[-3:]), moved.view(-1, *maps.shape[-3:]), cells, strict=True)
+    for one, target, shift in pairs:
         x, y = (max(-size, min(size, s)) for s in shift)
-        kept = one[:, max(0, -y) : size - max(0, y), max(0, -x) : size - max(0, x)]
-        moved.append(functional.pad(kept, (max(0, x), max(0, -x), max(0, y), max(0, -y))))
-    return torch.stack(moved).reshape(maps.shape) if moved else maps
+        target[:, max(0, y) : size + min(0, y), max(0, x) : size + min(0, x)] = one[
+            :, max(0, -y) : size - max(0, y), max(0, -x) : size - max(0, x)
+        ]
+    return moved
 
 
 def coverage(ego_T_sender: Float[Tensor, "*n 3"], size: int, extent: float) -> Float[Tensor, "*n H W"]:

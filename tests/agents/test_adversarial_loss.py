@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from cp_env.detector import Dense
-from cp_env.detector.adversarial import MARGIN, REACH, adversarial_loss
+from cp_env.detector.adversarial import MARGIN, REACH, STILL, adversarial_loss
 
 PARTS = ("hide", "spoof", "drift")
 
@@ -61,6 +61,13 @@ def test_drift_is_the_mean_l1_on_object_cells_up_to_its_reach() -> None:
     clean = _dense(_street())
     assert adversarial_loss(_dense(_street(), 0.5), clean, **_only("drift")).item() == pytest.approx(0.5)
     assert adversarial_loss(_dense(_street(), 9.0), clean, **_only("drift")).item() == pytest.approx(REACH)
+
+
+def test_rounding_moves_no_box_and_pulls_nowhere() -> None:
+    clean, boxes = _street(), torch.full((1, 6, 32, 32), STILL / 2, requires_grad=True)
+    loss = adversarial_loss(Dense(clean, boxes), _dense(clean), **_only("drift"))
+    (gradient,) = torch.autograd.grad(loss.sum(), boxes)
+    assert loss == 0 and not gradient.any()
 
 
 def test_a_promising_background_cell_pulls_harder_than_an_easy_one() -> None:

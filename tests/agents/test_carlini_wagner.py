@@ -9,7 +9,7 @@ import pytest
 import torch
 
 import agents
-from agents.ball import Domain
+from agents.ball import Domain, make_ball
 from agents.carlini_wagner import CarliniWagner
 from tests.agents import situations
 
@@ -27,7 +27,7 @@ def _loss(situation: Any, delta: torch.Tensor) -> torch.Tensor:
 
 
 def _ball(norm: str) -> Domain:
-    return Domain(norm, 0.3, torch.ones(1, 1, 1, 1, 1))
+    return Domain(norm, 0.3)
 
 
 @pytest.mark.parametrize("norm", ["linf", "l2"])
@@ -83,3 +83,13 @@ def test_it_is_smaller_than_bim_at_no_less_than_most_of_its_damage() -> None:
 def test_a_constant_that_buys_nothing_is_refused() -> None:
     with pytest.raises(ValueError, match="must be positive, got c=0"):
         agents.make("cw", c=0)
+
+
+@pytest.mark.parametrize("norm", ["linf", "l2"])
+def test_a_random_start_is_where_w_begins(norm: str) -> None:
+    """Without steps what is sent is the start; a step later it has moved a little: w was the start's own."""
+    situation = situations.situation(MODEL, n_worlds=1, norm=norm)
+    start, moved = (_act(situation, random_start=True, steps=steps, step_size=0.003, c=100.0) for steps in (0, 1))
+    drawn = make_ball(norm).random(tuple(start.shape[1:]), situation.budget, np.random.default_rng(0).spawn(1)[0])
+    torch.testing.assert_close(start[0], drawn, rtol=2e-3, atol=1e-6)
+    assert 0 < (moved - start).abs().max() <= 0.004
