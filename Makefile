@@ -9,7 +9,7 @@ READY := .venv/.installed
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 TORCH := $(shell grep '^torch==' constraints.txt)
 DEVKIT := .venv-devkit
-LIBRARIES := rllib supersuit torchrl
+LIBRARIES := benchmarl rllib supersuit torchrl
 ALONE = .venv-$*/bin/python -m pip install --disable-pip-version-check --quiet --retries 1
 LEADERBOARD ?= --n-scenes 3 --frames 10 --batch 3 --ks 2 1 3 4 --budgets 0.3 0.1 0.2 --side-attackers pgd \
 	--defenders none ego_only prbi prbi:threshold=calibrated robosac pasac:score=similarity bayes oracle \

@@ -29,7 +29,7 @@ from tests.sketch import Sketch
 from tests.toy import ToySource
 from tests.v2xsim_sets import Numbered, Thin
 
-LIBRARIES = ("rllib", "supersuit", "torchrl")
+LIBRARIES = ("benchmarl", "rllib", "supersuit", "torchrl")
 """Their pages run in environments of their own: `make libraries`, tests/libraries/."""
 
 
