@@ -11,8 +11,10 @@ from __future__ import annotations
 
 import re
 import shlex
+import sys
 from collections.abc import Iterator
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import tyro
@@ -51,13 +53,15 @@ def run_page(page: str, names: dict[str, Any] | None = None, paths: dict[str, st
     """
     import cp_env
 
-    names = {"cp_env": cp_env, "__name__": page, **(names or {})}
+    module = ModuleType("page_" + Path(page).stem.replace("-", "_"))  # known by name, so that its classes pickle
+    sys.modules[module.__name__] = module
+    module.__dict__.update({"cp_env": cp_env, **(names or {})})
     for line, code in blocks(page, "python"):
         code = in_tests(code)
         for old, new in (paths or {}).items():
             code = code.replace(old, new)
-        exec(compile("\n" * line + code, page, "exec"), names)
-    return names
+        exec(compile("\n" * line + code, page, "exec"), module.__dict__)
+    return module.__dict__
 
 
 def commands(page: str) -> Iterator[list[str]]:
