@@ -14,7 +14,6 @@ from dataclasses import dataclass, field, fields, replace
 from typing import NoReturn
 
 import numpy as np
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -29,7 +28,7 @@ UNTOLD = ("fused", "output", "verdict", "rehearse", "features", "clean", "detect
 class Remembered:
     """`attacker`, whose answers are kept: asked the same again, from the episode's first frame on, it answers at once.
 
-    It is shown nothing of the defence: everyone seems to be fused, no frame seems to have been judged, and `rehearse`
+    It is shown nothing of the defence: all present seem to be fused, no frame seems to have been judged, and `rehearse`
     raises a ValueError. The last `frames` answers are kept, one for all worlds of a frame.
     """
 
@@ -62,7 +61,7 @@ class Remembered:
 def _undefended(situation: Situation) -> Situation:
     """The same where nobody defends, as far as one can see."""
     nothing = (None,) * len(situation.fused)
-    return replace(situation, fused=torch.ones_like(situation.fused), output=nothing, verdict=nothing, rehearse=_refuse)
+    return replace(situation, fused=situation.present, output=nothing, verdict=nothing, rehearse=_refuse)
 
 
 def _refuse(delta: Float[Tensor, "E k C H W"], rng: Sequence[np.random.Generator]) -> NoReturn:

@@ -1,9 +1,8 @@
-"""The programs behind Table 3 and Fig. 6: what they play, read and draw."""
+"""The program behind Fig. 6: what it plays, reads and draws."""
 
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +10,7 @@ import pytest
 
 from cp_env.bank import SceneBank
 from cp_env.detector import load_detector
-from cp_env.intervals import Interval
-from examples.reproduce import fusion_table, jaccard_histograms
+from examples.reproduce import jaccard_histograms
 from tests.toy import ToySource
 
 
@@ -58,32 +56,3 @@ def test_fig_6_goes_on_where_it_stopped(
     data = json.loads((tmp_path / "jaccard.json").read_text())
     assert [len(row["scenes"]) for row in data["rows"]] == [2] * 5
     assert (tmp_path / "jaccard.png").stat().st_size > 10_000 and "0.50" in capsys.readouterr().out
-
-
-def test_table_3_knows_its_rows_and_the_papers(tmp_path: Path) -> None:
-    protocol = fusion_table.evaluation.Protocol(ToySource(n_frames=1), ("toy-0",))
-    cells = fusion_table.plan(protocol, fusion_table.Args())
-    played = {(cell.defender, cell.attack, cell.k) for cell in cells}
-    assert played == {
-        ("none", "none", 0),
-        ("none", "pgd", 2),
-        ("none", "bim", 2),
-        ("none", "cw", 2),
-        ("ego_only", "none", 0),
-    }
-    assert all(len(row) == len(fusion_table.FUSIONS) for row in fusion_table.PAPER.values())
-    figures = {row: {fusion: Figures(row) for fusion in fusion_table.FUSIONS} for row in fusion_table.PAPER}
-    assert {fusion_table.name_of(by["mean"]) for by in figures.values()} == set(fusion_table.PAPER)
-    ours = [list(table.columns[5].cells) for table in fusion_table.screen(figures)]
-    assert ours[0][0] == "81.0 [79, 83] | 80.5" and ours[1][0] == "61.0 [59, 63] | 76.7"
-    assert fusion_table.draw(figures, tmp_path / "table.png").stat().st_size > 10_000
-
-
-class Figures:
-    """A row of figures."""
-
-    def __init__(self, row: str) -> None:
-        self.attack = "none" if row in ("upper", "lower") else row
-        self.defender = "ego_only" if row == "lower" else "none"
-        self.ap50 = Interval(0.81, 0.79, 0.83, 3)
-        self.ap70 = replace(self.ap50, mean=0.61, low=0.59, high=0.63)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import groupby
 
 import numpy as np
@@ -71,7 +72,12 @@ def mean_ap(groups: Sequence[Sequence[Record]], iou: float, *, resamples: int = 
     if len(scenes) != 1:
         raise ValueError(f"an average over groups needs the same scenes in each; got {sorted(scenes)}")
     parts = [_pooled(list(records), iou) for records in groups]
-    return _bootstrap(lambda rows: float(np.mean([part(rows) for part in parts])), len(*scenes), resamples)
+
+    @cache
+    def mean(rows: tuple[int, ...]) -> float:
+        return float(np.mean([part(np.array(rows)) for part in parts]))
+
+    return _bootstrap(lambda rows: mean(tuple(sorted(rows.tolist()))), len(*scenes), resamples)  # few scenes recur
 
 
 def _row(

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 import defenders
+from cp_env.settings import FUSIONS
 from defenders import EgoOnly, NoDefence, Oracle, Prbi
 from defenders.perfect import PerfectWorld, play
-from defenders.thresholds import Thresholds, open_thresholds, read_thresholds, write_thresholds
+from defenders.thresholds import CALIBRATED, Thresholds, open_thresholds, read_thresholds, write_thresholds
 
 
 def test_none_fuses_everyone_and_pays_nothing() -> None:
@@ -94,6 +95,28 @@ def test_thresholds_of_the_fusion() -> None:
     assert thresholds.of("max").of("yours")(pair) == thresholds(pair) == 0.2
     with pytest.raises(ValueError, match="threshold"):
         Thresholds({1: 0.2}, {"max": {2: 0.4}})
+
+
+@pytest.mark.parametrize("path", [CALIBRATED], ids=lambda path: path.stem)
+def test_every_fusion_has_thresholds_of_its_own(path: Path) -> None:
+    entries = json.loads(path.read_text())
+    assert set(entries) == set(FUSIONS)
+    assert all(
+        sorted(entry["epsilon"]) == list("12345") and "calibration" in entry["source"] for entry in entries.values()
+    )
+    assert len({json.dumps(entry["epsilon"]) for entry in entries.values()}) == len(FUSIONS)
+
+
+@pytest.mark.parametrize("knobs", [{}, {"threshold": "calibrated"}], ids=["default", "calibrated"])
+@pytest.mark.parametrize("name", ["prbi", "robosac", "pasac"])
+def test_who_compares_with_thresholds_takes_the_fusions(name: str, knobs: dict[str, str]) -> None:
+    plain, told, back = (defenders.make(name, **knobs) for _ in range(3))
+    told.configure(fusion="max")
+    back.configure(fusion="max")
+    back.configure(fusion="mean")
+    tables = [defender.epsilon.epsilon for defender in (plain, told, back)]  # type: ignore[attr-defined]
+    calibrated = bool(knobs) or name == "pasac"
+    assert tables[0] == tables[2] and (tables[0] != tables[1]) == calibrated
 
 
 def test_thresholds_file(tmp_path: Path) -> None:
