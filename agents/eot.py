@@ -109,7 +109,7 @@ def drawn_from(name: str, size: int) -> Audience:
 
 
 def crowd(situation: Situation, groups: Iterable[Groups]) -> Crowd:
-    """Every world's own groups as an audience; one that is named twice counts twice."""
+    """Every world's own groups, as far as they are present, as an audience; one that is named twice counts twice."""
     named = [list(of_world) for of_world in groups]
     shape = len(named), max(len(of_world) for of_world in named), situation.fused.shape[1]
     members, weights = torch.zeros(shape, dtype=torch.bool), torch.zeros(shape[:2])
@@ -119,4 +119,5 @@ def crowd(situation: Situation, groups: Iterable[Groups]) -> Crowd:
             members[e, s, sorted(group)] = True
             weights[e, s] = of_world.count(group) / len(of_world)
     device = situation.fused.device
-    return members.to(device), weights.to(device)
+    members = members.to(device) & situation.present[:, None]
+    return members, weights.to(device) * members.any(2)
