@@ -1,6 +1,6 @@
 """Attackers that know the defence, each defender's own among them: what they cost, and who is blamed for it.
 
-    python examples/reproduce/adaptive_attacks.py --out out/adaptive        # five minutes of a core
+    python examples/reproduce/adaptive_attacks.py --out out/adaptive        # six minutes of a core
 
 The knobs were chosen on the calibration scenes; the figures are of test scenes. Run it again to go on where it stopped.
 """
