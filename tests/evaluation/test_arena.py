@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import os
 import shutil
@@ -15,7 +16,7 @@ from typing import Any
 
 import pytest
 
-from agents.arena import make_attacker
+from agents.arena import cli, make_attacker
 from agents.arena.cli import main
 from cp_env.evaluation import Cell, Record, summarise
 from cp_env.evaluation.cells import Protocol, code_of
@@ -64,6 +65,7 @@ SMALL = ("--scenes", "toy:any", "--frames", "3", "--batch", "1", "--seeds", "7",
 def toys() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         install(patch.setitem, patch.setattr)
+        patch.setattr(cli, "find", functools.partial(cli.find, resamples=20))
         yield
 
 
@@ -161,6 +163,12 @@ def test_learned_attackers_and_outsiders_are_made_by_name() -> None:
 DUELS = ("--defenders", "none", "prbi", "--attackers", "none", "pgd:steps=1", "--no-films")
 
 
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nobody looks at the pictures."""
+    monkeypatch.setattr(cli, "pictures", lambda found: {})
+
+
 @pytest.fixture(scope="module")
 def uninterrupted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("uninterrupted")
@@ -184,7 +192,7 @@ def alive(pid: int) -> bool:
 
 
 @pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="finds the workers in /proc")
-def test_a_run_killed_by_force_goes_on_to_the_same_table(uninterrupted: Path, tmp_path: Path) -> None:
+def test_a_run_killed_by_force_goes_on_to_the_same_table(uninterrupted: Path, undrawn: None, tmp_path: Path) -> None:
     words = [*SMALL[:-1], "2", *DUELS, "--out", str(tmp_path)]  # on two workers
     run = subprocess.Popen([sys.executable, "-m", "tests.evaluation.toy_arena", *words], cwd=ROOT)
     cells, deadline = tmp_path / "cells", time.monotonic() + 240
@@ -206,7 +214,7 @@ def test_a_run_killed_by_force_goes_on_to_the_same_table(uninterrupted: Path, tm
         time.sleep(0.1)
 
 
-def test_the_order_of_entries_changes_no_cell(uninterrupted: Path, tmp_path: Path) -> None:
+def test_the_order_of_entries_changes_no_cell(uninterrupted: Path, undrawn: None, tmp_path: Path) -> None:
     """Stored cells are taken for those of a run that names its entries the other way round."""
     shutil.copytree(uninterrupted / "cells", tmp_path / "cells")
     before = contents(tmp_path / "cells")
@@ -226,7 +234,7 @@ def test_the_records_alone_hold_every_figure(uninterrupted: Path) -> None:
         played[cell] = [Record.from_json(record) for record in data["records"]]
         assert data["conditions"]["frames"] == 3 and data["detector"]
     reported = json.loads((uninterrupted / "arena.json").read_text())
-    rows = {(row.defender, row.attack): row for row in summarise(played)}
+    rows = {(row.defender, row.attack): row for row in summarise(played, resamples=1)}
     for row in reported["rows"]:
         mine = rows[row["defender"], row["attack"]]
         for figure in ("ap50", "recovery70", "damage", "verifications", "mc_rate"):
