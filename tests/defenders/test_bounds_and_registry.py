@@ -12,7 +12,7 @@ import defenders
 from cp_env.settings import FUSIONS
 from defenders import EgoOnly, NoDefence, Oracle, Prbi
 from defenders.perfect import PerfectWorld, play
-from defenders.thresholds import CALIBRATED, Thresholds, open_thresholds, read_thresholds, write_thresholds
+from defenders.thresholds import CALIBRATED, EGO_ONLY, Thresholds, open_thresholds, read_thresholds, write_thresholds
 
 
 def test_none_fuses_everyone_and_pays_nothing() -> None:
@@ -97,7 +97,7 @@ def test_thresholds_of_the_fusion() -> None:
         Thresholds({1: 0.2}, {"max": {2: 0.4}})
 
 
-@pytest.mark.parametrize("path", [CALIBRATED], ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", [CALIBRATED, *EGO_ONLY.values()], ids=lambda path: path.stem)
 def test_every_fusion_has_thresholds_of_its_own(path: Path) -> None:
     entries = json.loads(path.read_text())
     assert set(entries) == set(FUSIONS)
