@@ -167,7 +167,8 @@ class Prbi(Defender):
         yield from looks.verify(groups)
         self.normal[list(union(group for group in groups if looks.passes(group)))] += 1
         self.total[list(self.present)] += 1
-        self.stalled = not self.proof.learn(looks.verdicts())
+        if self.stopping == "robust":
+            self.stalled = not self.proof.learn(looks.verdicts())
 
     def _evaluate(self) -> None:
         """Attacker evaluation, lines 20-24."""
@@ -244,7 +245,8 @@ class Prbi(Defender):
         if found and self.reading.split in ("once", "replace"):
             self.normal[list(found)] += 1
             self.total[list(self.present)] += self.reading.split == "once"
-        self.proof.learn(looks.verdicts())
+        if self.stopping == "robust":
+            self.proof.learn(looks.verdicts())
         if self.reading.refresh:
             self._evaluate()
             self.history[-1] = self.m

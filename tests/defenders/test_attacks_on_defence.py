@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from defenders import Prbi
+from defenders import Bayes, Prbi
 from defenders.perfect import Episode, Terms, every
 from defenders.tally import Tally, play_many
 from examples.reproduce import prbi_attacks
@@ -29,6 +29,14 @@ def test_robust_and_rearmed_withstands(situation: str) -> None:
     tally = played(robust(), SITUATIONS[situation])
     assert tally.converged.all() and tally.solved.all()
     assert not tally.deceived[:, -10:].any()
+
+
+@pytest.mark.parametrize("situation", sorted(set(SITUATIONS) - {"framing", "nobody", "out of step"}))
+def test_bayes_withstands(situation: str) -> None:
+    """Not liars out of step, since it takes all liars to be at work or none."""
+    tally = played(Bayes(likelihood="perfect"), SITUATIONS[situation], 2)
+    assert tally.solved.all() and not tally.deceived[:, -10:].any()
+    assert tally.all_verifications.max() <= 2
 
 
 @pytest.mark.parametrize("stopping", ["paper", "robust"])
