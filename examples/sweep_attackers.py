@@ -80,8 +80,10 @@ def draw(runs: list[Run], path: Path) -> None:
     for axes in grid[-1]:
         axes.set_xlabel("frames learned from")
     handles, labels = grid[0][0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="upper center", ncols=len(labels), frameon=False)
-    figure.tight_layout(rect=(0, 0, 1, 0.94))
+    seeds = len({run.recipe.seed for run in runs})
+    title = f"mean and range over {seeds} seeds" if seeds > 1 else "one seed"
+    figure.legend(handles, labels, loc="upper center", ncols=len(labels), frameon=False, title=title)
+    figure.tight_layout(rect=(0, 0, 1, 0.9))
     figure.savefig(path, dpi=130)
     plt.close(figure)
 
@@ -92,7 +94,7 @@ def _curves(axes: Axes, runs: list[Run], key: str) -> None:
         curves = [run.curve for run in runs if run.configuration == name]
         frames = [look["frames"] for look in curves[0]]
         values = np.array([[look[key] for look in curve] for curve in curves])
-        axes.plot(frames, values.mean(0), f"C{colour}o-", ms=3, label=f"{name} ({len(curves)} seeds, mean and range)")
+        axes.plot(frames, values.mean(0), f"C{colour}o-", ms=3, label=name)
         axes.fill_between(frames, values.min(0), values.max(0), color=f"C{colour}", alpha=0.2, lw=0)
     axes.grid(alpha=0.3)
 
