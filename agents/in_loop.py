@@ -82,6 +82,8 @@ class InLoop:
         hold, harm = self._hold.act(situation), self._harm.act(situation)
         mixtures = [hold + share * (harm - hold) for share in np.linspace(0, 1, self.rungs).tolist()]
         pairs, clean = self._looked_at(situation), honest(situation)
+        if not pairs:  # no view has a liar in it: nothing that is sent matters
+            return hold
         value = np.stack([self._value(situation, delta, pairs, clean) for delta in mixtures])
         best = torch.from_numpy(value.argmax(axis=0)).to(hold.device)
         return torch.stack(mixtures)[best, torch.arange(len(best), device=hold.device)]

@@ -290,3 +290,9 @@ def test_rehearsing_never_touches_the_defender(street: SceneBank, attack: str) -
 def test_bad_knobs_are_refused(attack: str, knobs: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         agents.make(attack, **knobs)
+
+
+def test_the_loop_pauses_while_no_view_has_a_liar_in_it(street: SceneBank) -> None:
+    outcomes = play(street, "in_loop", "oracle", frames=3, rungs=2)
+    assert not any(outcome.perturbation_norm.any() for outcome in outcomes)
+    assert all(not outcome.judgements[e].verdict.collaborators & {1, 2} for outcome in outcomes for e in range(2))
