@@ -136,7 +136,7 @@ class Script:
     """Drives one defender with answers written by the test."""
 
     def __init__(self, defender: Prbi, n: int) -> None:
-        self.defender, self.index, self.n_vehicles = defender, 0, n
+        self.defender, self.index, self.n_vehicles, self.present = defender, 0, n, frozenset(range(n))
         self.order = [3, 0, 4, 1, 2][:n] if n == 5 else list(range(n))  # how ties fall
         defender.reset(n, Ordered(self.order))
 
