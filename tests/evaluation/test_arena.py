@@ -137,8 +137,8 @@ def test_a_changed_outsider_is_played_anew(outsiders: Path) -> None:
     [
         (["--defenders", "prbbi"], "unknown defender 'prbbi'; known are prbi, none"),
         (["--defenders", "nowhere:Halves"], "no defender 'nowhere:Halves'"),
-        (["--attackers", "pdg"], "unknown attacker 'pdg'; known: none, noise, pgd.*policy:name=…, or module:Class"),
-        (["--attackers", "policy:name=prbi-99"], "unknown policy 'prbi-99'; known: prbi-0"),
+        (["--attackers", "pdg"], "unknown attacker 'pdg'; known: none, noise, .*pgd, .*policy:name=…, or module:Class"),
+        (["--attackers", "policy:name=prbi-99"], "unknown policy 'prbi-99'; known: .*prbi-0"),
         (["--attackers", "tests.evaluation.common:ToySource"], "built a ToySource; an attacker has reset and act"),
         (["--attackers", "pgd:wisdom=1"], "wisdom"),
         (["--design", "round"], "unknown design 'round': choose one of star, full"),
