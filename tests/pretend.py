@@ -64,7 +64,8 @@ class FromNumbers(TorchFunctionMode):
 
     def __torch_function__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
         kwargs = kwargs or {}
-        if func is torch.tensor and kwargs.get("device") is not None and torch.device(kwargs["device"]) == AWAY:
+        of_numbers = func in (torch.tensor, torch.as_tensor) and not isinstance(args[0], Tensor)
+        if of_numbers and kwargs.get("device") is not None and torch.device(kwargs["device"]) == AWAY:
             return torch.tensor(*args, **{**kwargs, "device": "cpu"}).to(AWAY)
         if func is Tensor.new_tensor and isinstance(args[0], Away):
             return args[0].here.new_tensor(*args[1:], **kwargs).to(AWAY)
