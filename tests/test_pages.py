@@ -9,6 +9,7 @@ import sys
 import tomllib
 from collections.abc import Callable
 from importlib import import_module
+from itertools import pairwise
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -165,7 +166,7 @@ def _check(words: list[str]) -> None:
         case ["make", target, *settings]:
             assert target in MAKE and all("=" in setting for setting in settings), words
         case ["python", "-m", "pytest", *given] | ["pytest", *given]:
-            paths = [word for word in given if not word.startswith("-")]
+            paths = [word for last, word in pairwise(["", *given]) if last != "-k" and not word.startswith("-")]
             assert paths and all((ROOT / path).exists() for path in paths), words
         case ["python", "-m", module, *given]:
             accepts(import_module(module).Args, given)
