@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 from jaxtyping import Bool
 
+from defenders.calibrated import open_likelihood
 from defenders.design import Aside, Look, Outlook, Reference, best_look, best_reference, outlook, safest
-from defenders.likelihood import BesideTable, Likelihood, open_likelihood
-from defenders.particles import IDLE, Particles
+from defenders.likelihood import BesideTable, Likelihood
+from defenders.particles import Particles
 from defenders.posterior import STARTS, STAYS, Beside, Comparison, Posterior
 from defenders.protocol import Defender, Frame, Inspection, Query, Verdict, View
 
 Members = Bool[np.ndarray, " n"]
-LOOKS = 2  # paid for in a frame at most
 PATIENCE = 0.95  # new references as good as the old ones but for this are preferred
+ALARM = 0.1  # probability of lies below which no look is thought of
 
 
 class Bayes(Defender):
@@ -30,8 +33,6 @@ class Bayes(Defender):
     more than what a reference loses with age.
     """
 
-    max_queries = LOOKS + 1
-
     def __init__(
         self,
         *,
@@ -40,16 +41,18 @@ class Bayes(Defender):
         turn: float = 1e-3,
         first: float = 1e-4,
         worthwhile: float = 0.03,
+        looks: int = 2,
         exact_to: int = 15,
         particles: int = 1024,
     ) -> None:
         """ValueError for knobs out of range.
 
-        likelihood   "calibrated" (shipped), "perfect" (a yes/no world), or a `Likelihood`
+        likelihood   "calibrated" (shipped, of the ego's fusion), "perfect" (a yes/no world), or a `Likelihood`
         certainty    posterior probability at which a vehicle is accused, and a set of liars settled
         turn         φ, the probability that the set of liars is another from one frame with lies to the next
         first        the probability that liars are at work in the very first frame
         worthwhile   bits that a look must be expected to tell to be paid for
+        looks        verifications paid for in a frame at most
         exact_to     vehicles up to which every set has its own probability; above, `particles` stand for all
         """
         if not 0.5 < certainty < 1:
@@ -57,27 +60,33 @@ class Bayes(Defender):
         for name, value in (("turn", turn), ("first", first)):
             if not 0 < value < 0.5:
                 raise ValueError(f"{name} is a small probability, above 0 and below 0.5, got {value}")
-        if worthwhile < 0 or particles < 2 or not 1 <= exact_to <= 20:
+        if worthwhile < 0 or looks < 1 or particles < 2 or not 1 <= exact_to <= 20:
             raise ValueError(
-                "worthwhile must be at least 0, particles at least 2 and exact_to in 1..20; got "
-                f"{worthwhile}, {particles} and {exact_to}"
+                "worthwhile must be at least 0, looks at least 1, particles at least 2 and exact_to in 1..20; got "
+                f"{worthwhile}, {looks}, {particles} and {exact_to}"
             )
-        self.likelihood, self.certainty, self.turn, self.first = open_likelihood(likelihood), certainty, turn, first
-        self.worthwhile, self.exact_to, self.particles = worthwhile, exact_to, particles
+        self.named, self.likelihood = likelihood, open_likelihood(likelihood)
+        self.certainty, self.turn, self.first = certainty, turn, first
+        self.worthwhile, self.looks, self.max_queries = worthwhile, looks, looks + 1
+        self.exact_to, self.particles = exact_to, particles
+
+    def configure(self, *, fusion: str) -> None:
+        self.likelihood = open_likelihood(self.named, fusion)
 
     def reset(self, n_vehicles: int, rng: np.random.Generator) -> None:
         self.n, self.rng = n_vehicles, rng
         self.tables = self.likelihood.tables(n_vehicles)
         self.beside = {n_vehicles: BesideTable(self.likelihood, n_vehicles)}  # by how many are present
         self.worth = worth_table(self.likelihood, n_vehicles)
+        manners = self.likelihood.manners
         self.posterior = (
-            Posterior(n_vehicles, turn=self.turn)
+            Posterior(n_vehicles, turn=self.turn, manners=manners)
             if n_vehicles <= self.exact_to
-            else Particles(n_vehicles, turn=self.turn, size=self.particles, rng=rng)
+            else Particles(n_vehicles, turn=self.turn, size=self.particles, rng=rng, manners=manners)
         )
         self.references: dict[frozenset[int], View] = {}
         self.age = 0  # of the references, frames
-        self.lying = self.first  # probability that the liars are at work in the coming frame
+        self.lying = np.full(manners, self.first / manners)  # probability of lies in the coming frame, by manner
 
     def inspect(self, frame: Frame) -> Inspection:
         here = self._members(frame.present)
@@ -86,7 +95,7 @@ class Bayes(Defender):
         self.age += 1
         self._learn(frame, frame.present, frame.seen)
         aside = Aside(here, self._beside(len(frame.present)))
-        for _ in range(LOOKS):
+        for _ in range(self.looks):
             if (look := self._next_look(aside, views)) is None:
                 break
             group = numbers(look.group)
@@ -120,7 +129,8 @@ class Bayes(Defender):
 
     def _next_look(self, aside: Aside, views: dict[frozenset[int], View]) -> Look | None:
         """The group to pay for, or None where none would tell enough; surely so where nobody lies."""
-        if not self.references or aside.present.sum() < 2 or self.posterior.lies() < IDLE:
+        unseen = 2 ** int(aside.present.sum()) - 1 - len(views)
+        if not self.references or not unseen or self.posterior.lies().sum() < ALARM:
             return None
         seen = np.array([self._members(group) for group in views])
         best = best_look(self._sources(aside), self._outlook(), aside.present, seen, self.rng)
@@ -146,7 +156,8 @@ class Bayes(Defender):
         old = max((self.posterior.clean(self._members(g), now=False) for g in self.references), default=0.0)
         best = max(clean.values())
         renew = best * self.likelihood.power(1) >= PATIENCE * old * self.likelihood.power(self.age + 1)
-        self.lying = STARTS + (STAYS - STARTS) * self.posterior.lies()
+        start = STARTS / self.likelihood.manners
+        self.lying = start + (STAYS - start) * self.posterior.lies()
         self.posterior.advance(renew)
         if renew:
             self.references = {group: view for group, view in views.items() if clean[group] >= best / 2}
@@ -164,9 +175,10 @@ def numbers(members: Members) -> frozenset[int]:
 
 
 def worth_table(likelihood: Likelihood, n: int) -> np.ndarray:
-    """`worth[size, liars]` of a view; the last column, -1, is a glitch, where no group is better than another."""
-    table = np.zeros((n + 1, n + 2))
-    for size in range(1, n + 1):
-        table[size, : size + 1] = [likelihood.worth(size, liars) for liars in range(size + 1)]
-    table[1:, -1] = likelihood.worth(1, 0)
+    """`worth[manner, size, liars]` of a view; the last column, -1, is a glitch: no group is better than another."""
+    table = np.zeros((likelihood.manners + 1, n + 1, n + 2))
+    for manner, size in product(range(likelihood.manners + 1), range(1, n + 1)):
+        worth = [likelihood.worth(size, liars, manner) for liars in range(size + 1 if manner else 1)]
+        table[manner, size, : len(worth)] = worth
+    table[:, 1:, -1] = likelihood.worth(1, 0)
     return table

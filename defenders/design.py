@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from defenders.likelihood import BesideTable, Table
 from defenders.posterior import Posterior
@@ -24,11 +24,12 @@ ROUNDS = 8  # of local search at most
 
 @dataclass(frozen=True, eq=False)
 class Outlook:
-    """Weighted hypotheses: who is lying now, who was in the references' frame, and whether that was a glitch."""
+    """Weighted hypotheses: who is lying now, who was in the references' frame, and how; and whether it is a glitch."""
 
     now: Float[np.ndarray, "M n"]
     then: Float[np.ndarray, "M n"]
-    glitch: Float[np.ndarray, "2 M"]  # now, then
+    manner: Int[np.ndarray, "2 M"]  # now, then
+    glitch: Bool[np.ndarray, "2 M"]  # now, then
     weight: Float[np.ndarray, " M"]
 
 
@@ -67,12 +68,10 @@ def outlook(posterior: Posterior, rng: np.random.Generator, size: int) -> Outloo
         chosen = np.searchsorted(steps, (np.arange(size) + rng.random()) / size).clip(max=len(mass) - 1)
         chosen, times = np.unique(chosen, return_counts=True)
         weight = times / size
-    liars = posterior.sets[chosen // 4].astype(float)
-    then, now = chosen // 2 % 2, chosen % 2
-    nobody = ~liars.any(1)
-    return Outlook(
-        liars * now[:, None], liars * then[:, None], np.stack([nobody & (now == 1), nobody & (then == 1)]) * 1.0, weight
-    )
+    which, then, now = np.unravel_index(chosen, posterior.joint.shape)
+    liars, manner = posterior.sets[which].astype(float), np.stack([now, then])
+    lying = manner > 0
+    return Outlook(liars * lying[0, :, None], liars * lying[1, :, None], manner, ~liars.any(1) & lying, weight)
 
 
 def outcomes(groups: Groups, reference: Reference, of: Outlook) -> Outcomes:
@@ -92,7 +91,9 @@ def compared(groups: Groups, reference: Reference, of: Outlook) -> Outcomes:
     liars = (groups @ of.now.T - of.glitch[0]).astype(np.int64)
     its = (reference.group @ of.then.T - of.glitch[1]).astype(np.int64)
     sizes, shared = groups.sum(1)[:, None], (groups & reference.group).sum(1)[:, None]
-    rows = reference.table.rows(sizes, liars, int(reference.group.sum()), its[None], shared)
+    rows = reference.table.rows(
+        sizes, liars, int(reference.group.sum()), its[None], shared, of.manner[:1], of.manner[1:]
+    )
     return reference.table.density[rows]
 
 
@@ -100,7 +101,7 @@ def compared_aside(groups: Groups, aside: Aside, of: Outlook) -> Outcomes:
     """Probability of each bin of the similarity to the free view."""
     liars = (groups @ of.now.T).astype(np.int64)
     lying = (aside.present @ of.now.T - of.glitch[0]).astype(np.int64)
-    return aside.table.density[aside.table.rows(groups.sum(1)[:, None], liars, lying[None])]
+    return aside.table.density[aside.table.rows(groups.sum(1)[:, None], liars, lying[None], of.manner[:1])]
 
 
 def entropy(p: np.ndarray, axis: int | tuple[int, ...] = -1) -> np.ndarray:
@@ -173,15 +174,15 @@ def pick(groups: Groups, reference: Reference, of: Outlook) -> Look:
 
 def safest(
     posterior: Posterior,
-    worth: Float[np.ndarray, "sizes counts"],
+    worth: Float[np.ndarray, "A sizes counts"],
     barred: Group,
     present: Group,
     rng: np.random.Generator,
 ) -> Group:
     """The group of those present of highest expected worth in this frame, without those barred (unless that is all).
 
-    `worth[size, liars]` is a view's; its last column stands for a glitch. Up to `MOST_EXACT` vehicles every group is
-    tried, else the heads of the list of vehicles, least suspicious first.
+    `worth[manner, size, liars]` is a view's; its last column stands for a glitch. Up to `MOST_EXACT` vehicles every
+    group is tried, else the heads of the list of vehicles, least suspicious first.
     """
     mass = posterior.mass.sum(1)  # [S, a]
     n = len(barred)
@@ -190,14 +191,16 @@ def safest(
     if n <= MOST_EXACT:
         groups = every_group(present)
     else:
-        order = np.lexsort([rng.random(n), mass[:, 1] @ posterior.sets, barred])
+        order = np.lexsort([rng.random(n), mass[:, 1:].sum(1) @ posterior.sets, barred])
         groups = np.tril(np.ones((n, n), dtype=bool))[:, np.argsort(order)] & present
         groups = groups[groups.any(1)]
     if not barred[present].all():
         groups = groups[~(groups & barred).any(1)]
     sizes = groups.sum(1)
-    active = mass[:, 1] > 1e-9
-    liars = posterior.sets[active].astype(float) @ groups.T.astype(float)
-    columns = np.where(nobody[active, None], -1, liars.astype(np.int64))
-    value = mass[active, 1] @ worth[sizes[None], columns] + (1 - mass[active, 1].sum()) * worth[sizes, 0]
+    liars = posterior.sets.astype(float) @ groups.T.astype(float)
+    columns = np.where(nobody[:, None], -1, liars.astype(np.int64))
+    value = mass[:, 0].sum() * worth[0, sizes, 0]
+    for manner in range(1, mass.shape[1]):
+        active = mass[:, manner] > 1e-9
+        value = value + mass[active, manner] @ worth[manner, sizes[None], columns[active]]
     return groups[int(value.argmax())]

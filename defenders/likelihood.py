@@ -5,23 +5,20 @@ depends on the sizes of both, on how many liars were at work in each, and on how
 is also compared with the free one of the same frame, of everyone present: *beside* it. Where liars are at work that one
 is a lie, which the views of those who tell it resemble and the views of others do not, whatever any reference is worth.
 Similarities are binned, so a density is a row of probabilities, one for each bin.
+
+Lies have a *manner*, a number from 1 on. Those of the first show in any view they are in. Those of the second are made
+to resemble the frame before: everyone's view gives nothing away, and only the views of those who do not lie do.
 """
 
 from __future__ import annotations
 
-import json
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
 
-CALIBRATED = Path(__file__).with_name("likelihood.json")
-GLITCH, BOTH = 0, 1  # the first two rows of every table
 Row = Float[np.ndarray, " B"]
 Counts = Int[np.ndarray, "..."]
 
@@ -32,6 +29,8 @@ class Likelihood(ABC):
     edges: Float[np.ndarray, " E"]
     beside_edges: Float[np.ndarray, " F"]  # of the bins of a similarity to the free view
     oldest: int  # frames; an older reference counts as one of this age
+    most: int  # vehicles; what is compared with a larger view counts as compared with one of so many
+    manners: int = 1  # of lies
 
     @abstractmethod
     def clean(self, size: int, reference: int, shared: int, age: int) -> Row:
@@ -41,28 +40,28 @@ class Likelihood(ABC):
         """
 
     @abstractmethod
-    def dirty(self, size: int, liars: int) -> Row:
-        """`liars` of `size` vehicles lie in one of the two views compared, nobody in the other."""
+    def dirty(self, size: int, liars: int, other: int, manner: int = 1) -> Row:
+        """`liars` of `size` vehicles lie in one of the two views compared, nobody in the other, of `other` vehicles."""
 
     @abstractmethod
-    def both(self) -> Row:
-        """Somebody lies in both."""
+    def both(self, size: int, other: int, manner: int = 1, its: int = 1) -> Row:
+        """Somebody lies in both, of `size` and `other` vehicles, in this manner and in `its`."""
 
     @abstractmethod
     def glitch(self) -> Row:
         """Anything may have happened."""
 
     @abstractmethod
-    def beside(self, size: int, liars: int, everyone: int, lying: int) -> Row:
+    def beside(self, size: int, liars: int, everyone: int, lying: int, manner: int = 1) -> Row:
         """Of a view of `size` vehicles, `liars` of which lie, to the free one of `everyone`, `lying` of which do."""
 
     @abstractmethod
-    def worth(self, size: int, liars: int) -> float:
+    def worth(self, size: int, liars: int, manner: int = 1) -> float:
         """What a view is good for, in [0, 1]: its expected similarity to what an honest ego would see."""
 
     def power(self, age: int) -> float:
         """How well a reference of this age tells a liar: total variation of what one liar and none show."""
-        one, none = self.dirty(1, 1), self.clean(1, 1, 1, age)
+        one, none = self.dirty(1, 1, 1), self.clean(1, 1, 1, age)
         return float(np.abs(one - none).sum() / 2)
 
     def bin(self, similarity: float, *, beside: bool = False) -> int:
@@ -79,31 +78,51 @@ class Table:
     """All densities a fleet of `n` can meet, as rows, and which row a comparison belongs to."""
 
     def __init__(self, likelihood: Likelihood, n: int, age: int) -> None:
-        rows = [likelihood.glitch(), likelihood.both()]
+        self._rows: list[Row] = []
+        self._known: dict[bytes, int] = {}
+        self._most = most = min(n, likelihood.most)
+        self.manners = manners = likelihood.manners
+        self._glitch = self._add(likelihood.glitch())
         self._clean = np.zeros((n + 1, n + 1, n + 1), dtype=np.int64)
-        self._dirty = np.zeros((n + 1, n + 1), dtype=np.int64)
-        known: dict[bytes, int] = {}
-        for size, other in product(range(1, n + 1), repeat=2):
-            for shared in range(max(size + other - n, 0), min(size, other) + 1):
-                row = likelihood.clean(size, other, shared, age)
-                if row.tobytes() not in known:
-                    known[row.tobytes()] = len(rows)
-                    rows.append(row)
-                self._clean[size, other, shared] = known[row.tobytes()]
-        for size in range(1, n + 1):
+        self._dirty = np.zeros((manners + 1, n + 1, n + 1, most + 1), dtype=np.int64)
+        self._both = np.zeros((manners + 1, manners + 1, most + 1, most + 1), dtype=np.int64)
+        for size, other, shared in overlaps(n):
+            self._clean[size, other, shared] = self._add(likelihood.clean(size, other, shared, age))
+        of_lies, one_of_most = range(1, manners + 1), range(1, most + 1)
+        for manner, size, other in product(of_lies, range(1, n + 1), one_of_most):
             for liars in range(1, size + 1):
-                self._dirty[size, liars] = len(rows)
-                rows.append(likelihood.dirty(size, liars))
-        self.density: Float[np.ndarray, "R B"] = np.array(rows)
+                self._dirty[manner, size, liars, other] = self._add(likelihood.dirty(size, liars, other, manner))
+        for manner, its, size, other in product(of_lies, of_lies, one_of_most, one_of_most):
+            self._both[manner, its, size, other] = self._add(likelihood.both(size, other, manner, its))
+        self.density: Float[np.ndarray, "R B"] = np.array(self._rows)
+
+    def _add(self, row: Row) -> int:
+        if (key := row.tobytes()) not in self._known:
+            self._known[key] = len(self._rows)
+            self._rows.append(row)
+        return self._known[key]
 
     def rows(
-        self, size: int | Counts, liars: Counts, reference: int, its_liars: Counts, shared: int | Counts
+        self,
+        size: int | Counts,
+        liars: Counts,
+        reference: int,
+        its_liars: Counts,
+        shared: int | Counts,
+        manner: int | Counts = 1,
+        its_manner: int | Counts = 1,
     ) -> Counts:
-        """Rows of `density`, given liars at work in the view and in the reference; -1 liars stand for a glitch."""
-        one = np.where(liars == 0, self._dirty[reference, its_liars], self._dirty[size, liars])
-        row = np.where((liars == 0) & (its_liars == 0), self._clean[size, reference, shared], one)
-        row = np.where((liars > 0) & (its_liars > 0), BOTH, row)
-        return np.where((liars < 0) | (its_liars < 0), GLITCH, row)
+        """Rows of `density`, given liars at work in the view and in the reference, and the manner of the lies in each.
+
+        -1 liars stand for a glitch.
+        """
+        one, other = np.minimum(size, self._most), min(reference, self._most)
+        row = np.where(
+            liars > 0, self._dirty[manner, size, liars, other], self._dirty[its_manner, reference, its_liars, one]
+        )
+        row = np.where((liars == 0) & (its_liars == 0), self._clean[size, reference, shared], row)
+        row = np.where((liars > 0) & (its_liars > 0), self._both[manner, its_manner, one, other], row)
+        return np.where((liars < 0) | (its_liars < 0), self._glitch, row)
 
 
 class BesideTable:
@@ -111,17 +130,19 @@ class BesideTable:
 
     def __init__(self, likelihood: Likelihood, everyone: int) -> None:
         rows: list[Row] = []
-        self._row = np.zeros((everyone + 1, everyone + 1, everyone + 1), dtype=np.int64)
-        for lying, size in product(range(everyone + 1), range(1, everyone + 1)):
+        self.manners = manners = likelihood.manners
+        self._row = np.zeros((manners + 1, everyone + 1, everyone + 1, everyone + 1), dtype=np.int64)
+        for manner, lying, size in product(range(1, manners + 1), range(everyone + 1), range(1, everyone + 1)):
             for liars in range(max(size + lying - everyone, 0), min(size, lying) + 1):
-                self._row[size, liars, lying] = len(rows)
-                rows.append(likelihood.beside(size, liars, everyone, lying))
+                self._row[manner, size, liars, lying] = len(rows)
+                rows.append(likelihood.beside(size, liars, everyone, lying, manner))
         self._glitch = len(rows)
         self.density: Float[np.ndarray, "R B"] = np.array([*rows, np.mean(rows, axis=0)])
 
-    def rows(self, size: int | Counts, liars: Counts, lying: Counts) -> Counts:
+    def rows(self, size: int | Counts, liars: Counts, lying: Counts, manner: int | Counts = 1) -> Counts:
         """Rows of `density`; -1 lying stand for a glitch."""
-        return np.where(lying < 0, self._glitch, self._row[size, np.maximum(liars, 0), np.maximum(lying, 0)])
+        row = self._row[np.maximum(manner, 1), size, np.maximum(liars, 0), np.maximum(lying, 0)]
+        return np.where(lying < 0, self._glitch, row)
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,123 +162,26 @@ class Verifier(Likelihood):
 
     edges = np.array([0.0, 0.5, 1.0])
     beside_edges = np.array([0.0, 1.0])
-    oldest = 1
+    oldest = most = 1
 
     def clean(self, size: int, reference: int, shared: int, age: int) -> Row:
         return np.array([self.false_fail, 1 - self.false_fail])
 
-    def dirty(self, size: int, liars: int) -> Row:
+    def dirty(self, size: int, liars: int, other: int, manner: int = 1) -> Row:
         return np.array([1 - self.false_pass, self.false_pass])
 
-    def both(self) -> Row:
-        return self.dirty(1, 1)
+    def both(self, size: int, other: int, manner: int = 1, its: int = 1) -> Row:
+        return self.dirty(1, 1, 1)
 
     def glitch(self) -> Row:
         return np.array([0.5, 0.5])
 
-    def beside(self, size: int, liars: int, everyone: int, lying: int) -> Row:
+    def beside(self, size: int, liars: int, everyone: int, lying: int, manner: int = 1) -> Row:
         """One bin: nothing resembles a lie here, and what an honest view errs it errs against any other too."""
         return np.ones(1)
 
-    def worth(self, size: int, liars: int) -> float:
+    def worth(self, size: int, liars: int, manner: int = 1) -> float:
         return 0.0 if liars else 1 - 0.5 / size
-
-
-class Calibrated(Likelihood):
-    """Densities measured on calibration scenes, with heavy tails, for fleets of any size.
-
-    Of every density a share `tail` is replaced by the mean of all: no similarity, however odd, speaks for one kind of
-    comparison against another by more than a bounded ratio. Where nothing was measured:
-
-    * a clean view of more vehicles than measured counts as one of the most measured, sharing as large a part;
-    * beside the free view of as many vehicles as were not measured, sizes and numbers of liars count in proportion;
-    * more liars than measured in a group of a measured size count as the most measured;
-    * d liars among more vehicles than measured, m, count as d m / size among m, rounded; where that is below one, the
-      lie may be too dilute to show: so much of the density of one liar among m, and the rest of none.
-    """
-
-    def __init__(
-        self,
-        edges: Float[np.ndarray, " E"],
-        clean: Sequence[Mapping[tuple[int, int, int], Row]],
-        dirty: Mapping[tuple[int, int], Row],
-        both: Row,
-        beside_edges: Float[np.ndarray, " F"],
-        beside: Mapping[tuple[int, int, int], Float[np.ndarray, " C"]],
-        *,
-        tail: float,
-    ) -> None:
-        """Histograms, else ValueError: `clean[age - 1][size, reference, shared]`, `dirty[size, liars]` and
-        `beside[size, liars, lying]`.
-        """
-        most = max((size for size, _ in dirty), default=0)
-        for bounds in (edges, beside_edges):
-            if not (bounds[0] == 0 and bounds[-1] == 1 and (np.diff(bounds) > 0).all()):
-                raise ValueError(f"edges must rise from 0 to 1, got {bounds.tolist()}")
-        if missing := [size for size in range(1, most + 1) if (size, 1) not in dirty]:
-            raise ValueError(f"one liar in a group must be measured for every size, but is missing for {missing}")
-        if not 0 < tail < 1:
-            raise ValueError(f"tail is the share of every density that is the mean of all, between 0 and 1, got {tail}")
-        if not clean or any(set(of) != set(overlaps(most)) for of in clean):
-            raise ValueError(f"honest views of every two groups of {most} vehicles must be measured; calibrate again")
-        if set(beside) != set(liars_in_groups(most)):
-            raise ValueError(
-                f"views of all groups of {most} vehicles beside that of all must be measured; calibrate again"
-            )
-        honest, lying = np.array([list(of.values()) for of in clean]), np.array(list(dirty.values()))
-        for cells in (np.concatenate([honest.reshape(-1, len(both)), lying, both[None]]), np.array([*beside.values()])):
-            if not (np.isfinite(cells).all() and (cells >= 0).all() and np.allclose(cells.sum(1), 1, atol=1e-3)):
-                raise ValueError("every density must be a histogram that sums to one; calibrate again")
-        self.edges, self.oldest, self.most = edges, len(clean), most
-        kinds = [honest.mean((0, 1)), lying.mean(0)]
-        self._mean = np.mean(kinds, axis=0) / np.sum(np.mean(kinds, axis=0))
-        self.tail = tail
-        self._clean = [{kind: self._tailed(row) for kind, row in of.items()} for of in clean]
-        self._dirty, self._both = {kind: self._tailed(row) for kind, row in dirty.items()}, self._tailed(both)
-        self.beside_edges, middle = beside_edges, np.mean([*beside.values()], axis=0)
-        tailed = {kind: (1 - tail) * row + tail * middle for kind, row in beside.items()}
-        self._beside = {kind: row / row.sum() for kind, row in tailed.items()}
-
-    def clean(self, size: int, reference: int, shared: int, age: int) -> Row:
-        one, other = min(size, self.most), min(reference, self.most)
-        common = round(shared * min(one, other) / min(size, reference))
-        common = max(common, one + other - self.most)
-        return self._clean[min(age, self.oldest) - 1][one, other, common]
-
-    def dirty(self, size: int, liars: int) -> Row:
-        if size <= self.most:
-            return self._dirty[size, max(d for s, d in self._dirty if s == size and d <= liars)]
-        diluted = liars * self.most / size
-        if diluted >= 1:
-            return self.dirty(self.most, round(diluted))
-        return diluted * self.dirty(self.most, 1) + (1 - diluted) * self.clean(self.most, self.most, self.most, 1)
-
-    def both(self) -> Row:
-        return self._both
-
-    def glitch(self) -> Row:
-        return self._mean
-
-    def beside(self, size: int, liars: int, everyone: int, lying: int) -> Row:
-        share = self.most / everyone
-        one = min(max(round(size * share), 1), self.most - 1)
-        all_lies = min(max(round(lying * share), int(lying > 0)), self.most - 1)
-        if not liars:
-            return self._beside[one, 0, min(all_lies, self.most - one)]
-        least, most = max(one + all_lies - self.most, 1), min(one, all_lies)
-        return self._beside[one, min(max(round(liars * share), least), most), all_lies]
-
-    def worth(self, size: int, liars: int) -> float:
-        """The mean of the density; beyond the sizes measured, what a clean view lacks shrinks as 1 / size."""
-        middle = (self.edges[1:] + self.edges[:-1]) / 2
-        if liars:
-            return float(self.dirty(size, liars) @ middle)
-        lack = 1 - float(self.clean(size, max(size, self.most), size, 1) @ middle)
-        return 1 - lack * min(1.0, self.most / size)
-
-    def _tailed(self, row: Row) -> Row:
-        mixed = (1 - self.tail) * row + self.tail * self._mean
-        return mixed / mixed.sum()
 
 
 def overlaps(n: int) -> list[tuple[int, int, int]]:
@@ -269,6 +193,11 @@ def overlaps(n: int) -> list[tuple[int, int, int]]:
     ]
 
 
+def liars_in_one(n: int) -> list[tuple[int, int, int]]:
+    """Size of a group among n vehicles, liars in it, and size of an honest one that it is compared with."""
+    return [(size, liars, other) for size, other in product(range(1, n + 1), repeat=2) for liars in range(1, size + 1)]
+
+
 def liars_in_groups(n: int) -> list[tuple[int, int, int]]:
     """Sizes of groups smaller than n, liars in them, and liars among all n, who are at most n - 1."""
     return [
@@ -276,32 +205,3 @@ def liars_in_groups(n: int) -> list[tuple[int, int, int]]:
         for lying, size in product(range(n), range(1, n))
         for liars in range(max(size + lying - n, 0), min(size, lying) + 1)
     ]
-
-
-def open_likelihood(likelihood: str | Likelihood) -> Likelihood:
-    """`"calibrated"`: the shipped file; `"perfect"`: a yes/no world; or a finished likelihood."""
-    if isinstance(likelihood, Likelihood):
-        return likelihood
-    if likelihood == "perfect":
-        return Verifier()
-    if likelihood == "calibrated":
-        return read_likelihood(CALIBRATED)
-    raise ValueError(f'likelihood must be "calibrated", "perfect" or a Likelihood, got {likelihood!r}')
-
-
-def read_likelihood(path: Path) -> Calibrated:
-    """Read what `examples/calibrate_likelihood.py` writes; ValueError naming the file where it is missing or broken."""
-    try:
-        stored: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        dirty = {(int(s), int(d)): np.array(row) for s, of in stored["dirty"].items() for d, row in of.items()}
-        edges, both = (np.array(stored[name], dtype=float) for name in ("edges", "both"))
-        kinds = overlaps(max(size for size, _ in dirty))
-        clean = [dict(zip(kinds, np.array(of, dtype=float), strict=True)) for of in stored["clean"]]
-        groups = liars_in_groups(max(size for size, _ in dirty))
-        beside_edges = np.array(stored["beside_edges"], dtype=float)
-        beside = dict(zip(groups, np.array(stored["beside"], dtype=float), strict=True))
-        return Calibrated(edges, clean, dirty, both, beside_edges, beside, tail=float(stored["tail"]))
-    except FileNotFoundError as error:
-        raise ValueError(f"no calibrated likelihood at {path}; write it with calibrate_likelihood.py") from error
-    except (json.JSONDecodeError, KeyError, IndexError, TypeError, AttributeError, ValueError) as error:
-        raise ValueError(f"broken likelihood file {path}: {error!r}; restore it or calibrate again") from error

@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Float
 
 from defenders.posterior import (
+    Chances,
     Density,
     Evidence,
     Posterior,
@@ -39,31 +40,31 @@ class Chapter:
 
     evidence: list[Evidence] = field(default_factory=list)
     total: float = 1.0
-    lying: float = 0.0
+    lying: Chances = field(default_factory=lambda: np.zeros(1))
     renew: bool = True
     pause: bool = False
 
 
 @dataclass(frozen=True, eq=False)
 class Summary:
-    """All evidence before the first chapter: each vehicle's probability to lie, and that of lies in the reference."""
+    """All evidence before the first chapter: each vehicle's probability to lie, and that of each b."""
 
     guilt: Float[np.ndarray, " n"]
-    then: float
+    then: Float[np.ndarray, " A"]
 
 
 class Particles(Posterior):
     """A sample of sets; `scale` [S] is a particle's weight over the density at its set."""
 
-    def __init__(self, n: int, *, turn: float, size: int, rng: np.random.Generator) -> None:
+    def __init__(self, n: int, *, turn: float, size: int, rng: np.random.Generator, manners: int = 1) -> None:
         self.rng = rng
         self.history: list[Chapter] = []
         self.chapter = Chapter()
         self.summary: Summary | None = None
-        self._begin(drawn(n, size, rng), turn)
+        self._begin(drawn(n, size, rng), turn, manners)
         self._weigh(np.full(size, 1 / size))
 
-    def predict(self, lying: float) -> None:
+    def predict(self, lying: Chances) -> None:
         self.chapter, self.before = Chapter(lying=lying), self.density
         super().predict(lying)
 
@@ -77,7 +78,7 @@ class Particles(Posterior):
         self.chapter.total *= total
 
     def advance(self, renew: bool) -> None:
-        self.chapter.renew, self.chapter.pause = renew, float(self.mass[:, :, 1].sum()) < IDLE
+        self.chapter.renew, self.chapter.pause = renew, float(self.mass[:, :, 1:].sum()) < IDLE
         if self.chapter.pause:
             self.joint = settled(resting(self.before, renew))
         else:
@@ -105,9 +106,10 @@ class Particles(Posterior):
 
     def _start(self, sets: Sets, birth: Float[np.ndarray, " S"]) -> Density:
         if self.summary is None:
-            return np.stack([birth, np.zeros(len(sets))], axis=1)
+            honest = np.eye(self.joint.shape[1])[0]
+            return birth[:, None] * honest
         each = np.where(sets, self.summary.guilt, 1 - self.summary.guilt).prod(1) * (birth > 0)
-        return each[:, None] * np.array([1 - self.summary.then, self.summary.then])
+        return each[:, None] * self.summary.then
 
     def _weigh(self, weight: Float[np.ndarray, " S"]) -> None:
         self.scale = weight / self.density.sum(1)
@@ -140,7 +142,7 @@ class Particles(Posterior):
 
     def _sum_up(self) -> None:
         density = self.density * self.scale[:, None]
-        weight, then = density.sum(1), float(density[:, 1].sum() / density.sum())
+        weight, then = density.sum(1), density.sum(0) / density.sum()
         self.summary = Summary(np.clip(weight @ self.sets / weight.sum(), DOUBT, 1 - DOUBT), then)
         self.history.clear()
         self.joint = settled(self.replay(self.sets))
@@ -169,4 +171,6 @@ def resting(density: Density, renew: bool) -> Density:
     """p(L, b) after a frame in which surely nobody lied; if its views became the references, those are honest."""
     if not renew:
         return density
-    return np.stack([density.sum(1), np.zeros(len(density))], axis=1)
+    rested = np.zeros_like(density)
+    rested[:, 0] = density.sum(1)
+    return rested

@@ -1,11 +1,13 @@
 """How probable is a similarity, given who was fused and who of them lied? The densities that `bayes` ships with.
 
-    python examples/calibrate_likelihood.py                                    # measure and print
-    python examples/calibrate_likelihood.py --write defenders/likelihood.json  # and ship
+    python examples/calibrate_likelihood.py                                          # measure and print
+    python examples/calibrate_likelihood.py --write defenders/densities/mean.json    # and ship
+    python examples/calibrate_likelihood.py --fusion max --write defenders/densities/max.json
 
 On the calibration scenes the views of every group of five vehicles are compared, Eq. (5), with those of every group
-the frame before, and with that of everyone in the same frame, while nobody lies (then also with those of two and three
-frames before) and while PGD lies jointly in k = 1 … 4 vehicles; the first frame is honest. Histograms are smoothed by a
+the frame before, and with that of everyone in the same frame: while nobody lies (then also with those of two and three
+frames before); while PGD lies jointly in k = 1 … 4 vehicles, which shows (*loud*); and while k lie so that each frame
+resembles the last (*quiet*), to an ego that is fooled. The first frame is honest. Histograms are smoothed by a
 Gaussian kernel over arcsin √s, which evens out the spread of a share, reflected at both ends. What a similarity says on
 the *number* of liars differs from scene to scene, and what everyone's view says would be counted in every frame: so
 each density with liars is mixed with the mean over their numbers, and that of everyone's view is that mean. `--cross`
@@ -36,11 +38,13 @@ from scipy.stats import norm
 import agents
 from cp_env.bank import SceneBank
 from cp_env.detector import load_detector
+from cp_env.evaluation import parse
 from cp_env.scenes import open_source
 from cp_env.similarity import view_similarity_many
 from cp_env.types import View
 from cp_env.world import World
-from defenders.likelihood import liars_in_groups, overlaps, read_likelihood
+from defenders.calibrated import read_likelihood
+from defenders.likelihood import liars_in_groups, liars_in_one, overlaps
 from defenders.protocol import Defender, Frame, Inspection, Query, Verdict
 
 EDGES = (0, 0.01, 0.04, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1)
@@ -55,7 +59,13 @@ class Args:
     start: int = 20  # frame of the scene that is the first
     frames: int = 7  # of every scene, an honest one first
     ages: int = 3  # frames between a view and its reference, at most (where nobody lies; else one)
-    attack: str = "pgd"
+    loud: str = "pgd"  # lies that show
+    quiet: tuple[str, ...] = (
+        "in_loop:threshold=0.35,steps=6",
+        "in_loop:threshold=0.6,steps=6",
+        "ramp:rate=0.3,first=0.2,steps=6",
+    )  # lies that resemble the frame before
+    fusion: str = "mean"
     bandwidth: float = 0.08  # of the kernel, rad
     numbers: float = 0.3  # share of a density with liars that is the mean over their numbers
     tail: float = 0.005  # share of every density that is the mean of all
@@ -71,8 +81,9 @@ class Surveyor(Defender):
 
     needs_truth = True  # the referee calls `tell`
 
-    def __init__(self, ages: int) -> None:
-        self.ages = ages
+    def __init__(self, ages: int, *, fooled: bool) -> None:
+        """`fooled`: the ego acts on everyone's view, lies or not, as quiet liars need; else on that of the honest."""
+        self.ages, self.fooled = ages, fooled
 
     def tell(self, liars: frozenset[int]) -> None:
         self.liars = frozenset(liars)
@@ -92,7 +103,7 @@ class Surveyor(Defender):
         self.measured.append(found)
         self.beside.append(view_similarity_many([(view, frame.seen) for view in views]))
         self.past = [*self.past, views][-(1 if self.liars else self.ages) :]
-        return Verdict(self.honest)
+        return Verdict(frame.present if self.fooled else self.honest)
 
 
 def groups(n: int) -> list[frozenset[int]]:
@@ -105,70 +116,81 @@ class Tape:
     """One scene, surveyed."""
 
     scene: str
+    attack: str
     liars: frozenset[int]
     similarity: Float[np.ndarray, "T A X X"]  # NaN where there was no frame so long before
     beside: Float[np.ndarray, "T X"]  # to everyone's view
 
 
 def survey(args: Args) -> Iterator[Tape]:
-    bank = SceneBank(open_source(args.scenes), load_detector())
-    what = (args.attack.replace(":", "-"), args.start, args.frames, args.ages, args.seed)
-    folder = args.out / "-".join(map(str, (bank.detector.digest, *what)))
+    bank = SceneBank(open_source(args.scenes), load_detector(args.fusion))
+    folder = args.out / "-".join(map(str, (bank.detector.digest, args.start, args.frames, args.ages, args.seed)))
     folder.mkdir(parents=True, exist_ok=True)
-    for scene, k in track(list(product(bank.source.names(), range(args.n_vehicles))), "surveying"):
-        path = folder / f"{scene}-{k}.npz"
+    casts = [("none", 0), *product((args.loud, *args.quiet), range(1, args.n_vehicles))]
+    for scene, (attack, k) in track(list(product(bank.source.names(), casts)), "surveying"):
+        path = folder / f"{scene}-{attack.replace(':', '-')}-{k}.npz"
         if not path.exists():
-            tape = play(args, bank, scene, k)
+            tape = play(args, bank, scene, attack, k)
             draft = path.with_suffix(".part.npz")
             np.savez_compressed(draft, liars=sorted(tape.liars), similarity=tape.similarity, beside=tape.beside)
             draft.replace(path)
         with np.load(path) as stored:
             liars = frozenset(stored["liars"].astype(int).tolist())
-            yield Tape(scene, liars, stored["similarity"], stored["beside"])
+            yield Tape(scene, attack, liars, stored["similarity"], stored["beside"])
 
 
-def play(args: Args, bank: SceneBank, scene: str, k: int) -> Tape:
+def play(args: Args, bank: SceneBank, scene: str, attack: str, k: int) -> Tape:
     entropy = [args.seed, zlib.crc32(scene.encode()), k, 0]
-    world = World(1, defender=Surveyor(args.ages), bank=bank, n_vehicles=args.n_vehicles, n_attackers=k)
+    instrument = Surveyor(args.ages, fooled=attack in args.quiet)
+    world = World(1, defender=instrument, bank=bank, n_vehicles=args.n_vehicles, n_attackers=k, fusion=args.fusion)
     world.reset([np.random.SeedSequence(entropy)], options={"scene": scene, "start": args.start})
-    attacker = agents.make(args.attack if k else "none")
+    name, knobs = parse(attack)
+    attacker = agents.make(name, **knobs)
     attacker.reset(1, [np.random.default_rng(entropy)])
     for _ in range(args.frames):
         world.step(attacker.act(world.situation()))
     (surveyor,) = world.defenders
     assert isinstance(surveyor, Surveyor)
     similarity, beside = (np.array(found, dtype=np.float32) for found in (surveyor.measured, surveyor.beside))
-    return Tape(scene, surveyor.liars, similarity, beside)
+    return Tape(scene, attack, surveyor.liars, similarity, beside)
 
 
 Kind = tuple[str | int, ...]
-"""("clean", age, size, size of the reference, both), ("dirty", size, liars), the reference honest and a frame old,
-("both",), or ("beside", size, liars, liars among everyone)."""
+"""("clean", age, size, size of the reference, both), ("dirty", manner, size, liars, size of the honest reference),
+("both", manner, size, size of the reference) or ("beside", manner, size, liars, liars of everyone)."""
 Values = dict[Kind, list[np.ndarray]]
 Row = Float[np.ndarray, " B"]
 
 
-def sorted_out(tapes: Iterable[Tape], n: int) -> Values:
+def sorted_out(tapes: Iterable[Tape], args: Args) -> Values:
     """Similarities by kind of comparison."""
     values: Values = defaultdict(list)
-    everyone = groups(n)
+    everyone, beside = groups(args.n_vehicles), [0, *manners(args)]
     for tape in tapes:
+        manner = 0 if not tape.liars else 1 if tape.attack == args.loud else 2
         for (i, one), (j, other) in product(enumerate(everyone), enumerate(everyone)):
             now, then = len(one & tape.liars), len(other & tape.liars)
             first, later = tape.similarity[1:2, 0, i, j], tape.similarity[2:, 0, i, j]  # honest reference, or not
             overlap = len(one), len(other), len(one & other)
-            values[("dirty", len(one), now) if now else ("clean", 1, *overlap)].append(first)
+            lie = "dirty", manner, len(one), now, len(other)
+            values[lie if now else ("clean", 1, *overlap)].append(first)
             if now and then:
-                values["both",].append(later)
+                values["both", manner, len(one), len(other)].append(later)
             elif now:
-                values["dirty", len(one), now].append(later)
+                values[lie].append(later)
             elif not then:
                 values["clean", 1, *overlap].append(later)
             for age in range(1, 0 if tape.liars else tape.similarity.shape[1]):
                 values["clean", age + 1, *overlap].append(tape.similarity[age + 1 :, age, i, j])
         for i, one in enumerate(everyone[:-1]):
-            values["beside", len(one), len(one & tape.liars), len(tape.liars)].append(tape.beside[1:, i])
+            for m in beside if not manner else [manner]:
+                values["beside", m, len(one), len(one & tape.liars), len(tape.liars)].append(tape.beside[1:, i])
     return values
+
+
+def manners(args: Args) -> range:
+    """Of lies: the loud, and the quiet if there are any."""
+    return range(1, 3 if args.quiet else 2)
 
 
 def smoothed(values: list[np.ndarray], edges: Sequence[float], bandwidth: float) -> Row:
@@ -192,10 +214,10 @@ def densities(values: Values, args: Args) -> dict[Kind, Row]:
 def mixed(found: dict[Kind, Row], kind: Kind, args: Args) -> Row:
     """The density of a kind with liars, mixed with the mean over their numbers."""
     if kind[0] == "dirty":
-        alike = [row for other, row in found.items() if other[:2] == kind[:2]]
-        share = 1.0 if kind[1] == args.n_vehicles else args.numbers
-    elif kind[0] == "beside" and kind[3]:
-        alike = [row for k, row in found.items() if k[:2] == kind[:2] and k[3] and bool(k[2]) == bool(kind[2])]
+        alike = [row for other, row in found.items() if other[:3] == kind[:3] and other[4] == kind[4]]
+        share = 1.0 if kind[2] == args.n_vehicles else args.numbers
+    elif kind[0] == "beside" and kind[4]:
+        alike = [row for k, row in found.items() if k[:3] == kind[:3] and k[4] and bool(k[3]) == bool(kind[3])]
         share = args.numbers
     else:
         return found[kind]
@@ -206,15 +228,16 @@ def mixed(found: dict[Kind, Row], kind: Kind, args: Args) -> Row:
 def stored(found: dict[Kind, Row], args: Args) -> dict[str, object]:
     """What `read_likelihood` reads."""
     n, listed = args.n_vehicles, {kind: row.round(5).tolist() for kind, row in found.items()}
-    dirty = [(size, liars) for size in range(1, n + 1) for liars in range(1, min(size, n - 1) + 1)]
+    sizes, lies = range(1, n + 1), manners(args)
     return {
+        "n_vehicles": n,
         "edges": list(EDGES),
         "tail": args.tail,
         "clean": [[listed["clean", age, *kind] for kind in overlaps(n)] for age in range(1, args.ages + 1)],
-        "dirty": {str(s): {str(d): listed["dirty", s, d] for size, d in dirty if size == s} for s in range(1, n + 1)},
-        "both": listed["both",],
+        "dirty": [[listed["dirty", m, s, min(d, n - 1), other] for s, d, other in liars_in_one(n)] for m in lies],
+        "both": [[listed["both", m, *kind] for kind in product(sizes, sizes)] for m in lies],
         "beside_edges": list(BESIDE_EDGES),
-        "beside": [listed["beside", *kind] for kind in liars_in_groups(n)],
+        "beside": [[listed["beside", m, *kind] for kind in liars_in_groups(n)] for m in lies],
     }
 
 
@@ -222,9 +245,9 @@ def left_out(tapes: list[Tape], args: Args) -> dict[str, float]:
     """Mean log-likelihood of each scene's similarities under the densities of the others; kinds and scenes alike."""
     scores = defaultdict(list)
     for scene in sorted({tape.scene for tape in tapes}):
-        known = densities(sorted_out((tape for tape in tapes if tape.scene != scene), args.n_vehicles), args)
+        known = densities(sorted_out((tape for tape in tapes if tape.scene != scene), args), args)
         mean = {what: np.mean([row for kind, row in known.items() if kind[0] == what], axis=0) for what in WHAT}
-        for kind, values in sorted_out((tape for tape in tapes if tape.scene == scene), args.n_vehicles).items():
+        for kind, values in sorted_out((tape for tape in tapes if tape.scene == scene), args).items():
             edges = np.array(BESIDE_EDGES if kind[0] == "beside" else EDGES)[1:-1]
             row = (1 - args.tail) * known[kind] + args.tail * mean[str(kind[0])]
             bins = np.searchsorted(edges, np.concatenate(values), side="right")
@@ -233,16 +256,19 @@ def left_out(tapes: list[Tape], args: Args) -> dict[str, float]:
 
 
 def report(values: Values, args: Args) -> Table:
+    n = args.n_vehicles
     table = Table(
         "group size",
-        *(f"{k} liars" for k in range(args.n_vehicles)),
+        "nobody lies",
+        *(f"{k} {manner}" for manner in ("loud", "quiet")[: len(manners(args))] for k in range(1, n)),
         *(f"age {a}" for a in range(2, args.ages + 1)),
-        title="mean similarity (spread) to an honest view of a frame before; of all, of older ages to all, honest",
+        title="mean similarity (spread) to an honest view of a frame before; where nobody lies to that of everyone",
     )
-    for size in range(1, args.n_vehicles + 1):
-        clean = [("clean", age, size, args.n_vehicles, size) for age in range(1, args.ages + 1)]
-        kinds: list[Kind] = [clean[0], *(("dirty", size, d) for d in range(1, args.n_vehicles)), *clean[1:]]
-        found = [np.concatenate(values[kind]) if kind in values else None for kind in kinds]
+    for size in range(1, n + 1):
+        clean = [[("clean", age, size, n, size)] for age in range(1, args.ages + 1)]
+        lies = [[("dirty", m, size, d, other) for other in range(1, n + 1)] for m in manners(args) for d in range(1, n)]
+        cells = [[x for kind in kinds for x in values.get(kind, [])] for kinds in [clean[0], *lies, *clean[1:]]]
+        found = [np.concatenate(cell) if cell else None for cell in cells]
         table.add_row(str(size), *("–" if x is None else f"{x.mean():.2f} ({x.std():.2f})" for x in found))
     return table
 
@@ -250,13 +276,14 @@ def report(values: Values, args: Args) -> Table:
 def main(args: Args) -> None:
     torch.set_num_threads(args.threads)
     tapes = list(survey(args))
-    values = sorted_out(tapes, args.n_vehicles)
+    values = sorted_out(tapes, args)
     console = Console(width=160)
     console.print(report(values, args))
     if args.cross:
         console.print({what: round(score, 3) for what, score in left_out(tapes, args).items()})
     if args.write:
-        source = f"{args.scenes}, detector {load_detector().digest}, {args.attack}, {args.frames} frames a scene"
+        attacks = " ".join([args.loud, *args.quiet])
+        source = f"{args.scenes}, detector {load_detector(args.fusion).digest}, {attacks}, {args.frames} frames a scene"
         about = {"source": source, "command": shlex.join(["python", *sys.argv])}
         table = {**about, **stored(densities(values, args), args)}
         args.write.write_text(json.dumps(table) + "\n")

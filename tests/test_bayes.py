@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from defenders import Bayes, Defender
-from defenders.likelihood import Calibrated, Verifier, open_likelihood
+from defenders.calibrated import Calibrated, open_likelihood
+from defenders.likelihood import Verifier
 from defenders.perfect import PerfectWorld, Ruling, Terms, every, turning
 
 SURE = Verifier(1e-6, 1e-6)
@@ -40,9 +41,11 @@ class CalibratedWorld(PerfectWorld):
         )
         density = self.densities.clean(len(later), len(earlier), len(later & earlier), max(now - then, 1))
         if liars and its:
-            density = self.densities.both()
-        elif liars or its:
-            density = self.densities.dirty(*((len(later), len(liars)) if liars else (len(earlier), len(its))))
+            density = self.densities.both(len(later), len(earlier))
+        elif liars:
+            density = self.densities.dirty(len(later), len(liars), len(earlier))
+        elif its:
+            density = self.densities.dirty(len(earlier), len(its), len(later))
         rng = np.random.default_rng([self.seed, a, b])
         low = rng.choice(len(density), p=density)
         return float(rng.uniform(self.densities.edges[low], self.densities.edges[low + 1]))
@@ -150,13 +153,13 @@ def test_framing_does_not_convict_the_innocent(alone: bool) -> None:
     assert not any(1 in ruling.verdict.suspects for ruling in rulings)
 
 
-def test_one_odd_value_never_convicts() -> None:
-    """After a hundred clean frames everything fails, once."""
-    defender, world = (
-        Bayes(),
-        CalibratedWorld(5, frozenset(range(4)), schedule=lambda t, liars: liars if t == 100 else frozenset()),
-    )
-    assert not any(ruling.verdict.suspects for ruling in watch(defender, world, 110))
+def test_one_odd_frame_convicts_no_innocent() -> None:
+    """After a hundred clean frames all but one lie, once."""
+    liars = frozenset(range(4))
+    world = CalibratedWorld(5, liars, schedule=lambda t, who: who if t == 100 else frozenset())
+    rulings = watch(Bayes(), world, 110)
+    assert not any(ruling.verdict.suspects - liars for ruling in rulings)
+    assert not any(ruling.verdict.suspects for ruling in rulings[:100])
 
 
 # -- manners -------------------------------------------------------------------------------------------------------
@@ -196,6 +199,7 @@ def test_one_vehicle_has_nobody_to_doubt() -> None:
         {"worthwhile": -1.0},
         {"particles": 1},
         {"exact_to": 21},
+        {"looks": 0},
         {"first": 0.0},
     ],
 )

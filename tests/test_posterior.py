@@ -7,12 +7,14 @@ import math
 from collections.abc import Iterator
 from itertools import combinations, product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from defenders.calibrated import CALIBRATED, Calibrated, open_likelihood, read_likelihood
 from defenders.design import (
     Aside,
     Outlook,
@@ -26,35 +28,40 @@ from defenders.design import (
     safest,
 )
 from defenders.likelihood import (
-    CALIBRATED,
     BesideTable,
-    Calibrated,
     Likelihood,
     Table,
     Verifier,
     liars_in_groups,
-    open_likelihood,
+    liars_in_one,
     overlaps,
-    read_likelihood,
 )
 from defenders.particles import Particles, drawn
 from defenders.posterior import GLITCH, STARTS, STAYS, Comparison, Posterior
 
 TURN = 0.01
+LYING = np.array([0.45, 0.25])  # two manners
+OFTEN, SELDOM = np.array([STAYS]), np.array([STARTS])  # one
 Hypothesis = tuple[frozenset[int], int]  # (L, b)
 
 
-def made_up(seed: int, *, most: int = 3, bins: int = 4) -> Calibrated:
+def made_up(seed: int, *, most: int = 3, bins: int = 4, manners: int = 2) -> Calibrated:
     """Densities as wild as they may be."""
     rng = np.random.default_rng(seed)
 
-    def rows(*shape: int) -> np.ndarray:
-        return rng.dirichlet(np.ones(bins), shape)
+    def rows(kinds: list[Any], bins: int = bins) -> dict[Any, np.ndarray]:
+        return dict(zip(kinds, rng.dirichlet(np.ones(bins), len(kinds)), strict=True))
 
-    dirty = {(s, d): rows(1)[0] for s in range(1, most + 1) for d in range(1, s + 1) if d == 1 or s < most}
-    clean = [dict(zip(overlaps(most), rows(len(overlaps(most))), strict=True)) for _ in range(2)]
-    beside = dict(zip(liars_in_groups(most), rng.dirichlet(np.ones(3), len(liars_in_groups(most))), strict=True))
-    return Calibrated(np.linspace(0, 1, bins + 1), clean, dirty, rows(1)[0], np.linspace(0, 1, 4), beside, tail=0.05)
+    pairs = list(product(range(1, most + 1), repeat=2))
+    return Calibrated(
+        np.linspace(0, 1, bins + 1),
+        [rows(overlaps(most)) for _ in range(2)],
+        [rows(liars_in_one(most)) for _ in range(manners)],
+        [rows(pairs) for _ in range(manners)],
+        np.linspace(0, 1, 4),
+        [rows(liars_in_groups(most), 3) for _ in range(manners)],
+        tail=0.05,
+    )
 
 
 def members(n: int, group: frozenset[int]) -> np.ndarray:
@@ -85,13 +92,13 @@ def probability(likelihood: Likelihood, c: Comparison, age: int, liars: frozense
     group, reference = frozenset(np.flatnonzero(c.group)), frozenset(np.flatnonzero(c.reference))
     if not liars and (a or b):
         return float(likelihood.glitch()[c.bin])
-    now, then = a * len(group & liars), b * len(reference & liars)
+    now, then = len(group & liars) if a else 0, len(reference & liars) if b else 0
     if now and then:
-        return float(likelihood.both()[c.bin])
+        return float(likelihood.both(len(group), len(reference), a, b)[c.bin])
     if now:
-        return float(likelihood.dirty(len(group), now)[c.bin])
+        return float(likelihood.dirty(len(group), now, len(reference), a)[c.bin])
     if then:
-        return float(likelihood.dirty(len(reference), then)[c.bin])
+        return float(likelihood.dirty(len(reference), then, len(group), b)[c.bin])
     return float(likelihood.clean(len(group), len(reference), len(group & reference), age)[c.bin])
 
 
@@ -101,14 +108,14 @@ def twin(
     """p(L, b) after frames of (comparisons, ages of their references, renewed), one case at a time."""
     sets = [liars for liars in subsets(n) if len(liars) < n]
     prior = {liars: 1 / (n * math.comb(n, len(liars))) for liars in sets}
-    belief = {(liars, b): prior[liars] * (1 - b) for liars in sets for b in (0, 1)}
+    belief = {(liars, b): prior[liars] * (b == 0) for liars in sets for b in range(3)}
     for comparisons, ages, renew in frames:
         after = dict.fromkeys(belief, 0.0)
-        for (liars, b), a in product(belief, (0, 1)):
-            weight = (1 - STAYS) * belief[liars, b]
+        for (liars, b), a in product(belief, range(3)):
+            weight = (1 - LYING.sum()) * belief[liars, b]
             if a:
                 born = TURN * prior[liars] * (b == 0)
-                weight = STAYS * ((1 - TURN) * belief[liars, b] + born) * (1 if liars else GLITCH)
+                weight = LYING[a - 1] * ((1 - TURN) * belief[liars, b] + born) * (1 if liars else GLITCH)
             for c, age in zip(comparisons, ages, strict=True):
                 weight *= probability(likelihood, c, age, liars, b, a)
             after[liars, a if renew else b] += weight
@@ -121,20 +128,20 @@ def twin(
 @settings(max_examples=10)
 def test_equals_the_sum_over_every_case(n: int, seed: int) -> None:
     likelihood = made_up(seed)
-    frames, posterior = [], Posterior(n, turn=TURN)
+    frames, posterior = [], Posterior(n, turn=TURN, manners=2)
     for t in range(4):
         comparisons = drawn_evidence(n, likelihood, seed + t)
         by_age = likelihood.tables(n)
         comparisons = [Comparison(c.group, c.reference, by_age[t % 2], c.bin) for c in comparisons]
         frames.append((comparisons, [t % 2 + 1] * len(comparisons), t % 3 != 0))
-        posterior.predict(STAYS)
+        posterior.predict(LYING)
         for comparison in comparisons:
             posterior.update(comparison)
         posterior.advance(t % 3 != 0)
     expected = twin(likelihood, n, frames)
     for liars, row in zip(posterior.sets, posterior.density, strict=True):
         numbers = frozenset(np.flatnonzero(liars).tolist())
-        assert row == pytest.approx([expected[numbers, 0], expected[numbers, 1]], rel=1e-9, abs=1e-15)
+        assert row == pytest.approx([expected[numbers, b] for b in range(3)], rel=1e-9, abs=1e-15)
 
 
 @given(st.integers(1, 6), st.integers(0, 10**6))
@@ -142,10 +149,10 @@ def test_equals_the_sum_over_every_case(n: int, seed: int) -> None:
 def test_sums_to_one_and_the_order_of_evidence_is_nothing(n: int, seed: int) -> None:
     likelihood = made_up(seed)
     evidence = drawn_evidence(n, likelihood, seed, 4)
-    one, other = Posterior(n, turn=TURN), Posterior(n, turn=TURN)
+    one, other = Posterior(n, turn=TURN, manners=2), Posterior(n, turn=TURN, manners=2)
     assert one.mass.sum() == pytest.approx(1)
     for posterior, order in ((one, evidence), (other, evidence[::-1])):
-        posterior.predict(STAYS)
+        posterior.predict(LYING)
         for comparison in order:
             posterior.update(comparison)
             assert posterior.mass.sum() == pytest.approx(1)
@@ -158,9 +165,9 @@ def test_sums_to_one_and_the_order_of_evidence_is_nothing(n: int, seed: int) -> 
 @settings(max_examples=15)
 def test_renumbering_the_vehicles_renumbers_the_guilt(n: int, seed: int) -> None:
     likelihood, order = made_up(seed), np.random.default_rng(seed).permutation(n)
-    one, other = Posterior(n, turn=TURN), Posterior(n, turn=TURN)
+    one, other = Posterior(n, turn=TURN, manners=2), Posterior(n, turn=TURN, manners=2)
     for posterior, p in ((one, np.arange(n)), (other, order)):
-        posterior.predict(STAYS)
+        posterior.predict(LYING)
         for c in drawn_evidence(n, likelihood, seed):
             posterior.update(Comparison(c.group[p], c.reference[p], c.table, c.bin))
         posterior.advance(True)
@@ -172,17 +179,17 @@ def test_a_frame_in_which_nothing_shows_acquits_nobody() -> None:
     table = Verifier(1e-9, 1e-9).tables(5)[0]
     posterior, everyone, pair = Posterior(5, turn=TURN), np.ones(5, dtype=bool), np.arange(5) < 2
     fails, passes = Comparison(pair, everyone, table, 0), Comparison(everyone, everyone, table, 1)
-    posterior.predict(STARTS)
+    posterior.predict(SELDOM)
     posterior.update(passes)
     posterior.advance(True)
     assert posterior.guilt() == pytest.approx([0.4] * 5, abs=2e-3)
-    posterior.predict(STARTS)
+    posterior.predict(SELDOM)
     posterior.update(fails)
     posterior.advance(False)
     suspected = posterior.guilt()
     assert suspected[0] > 0.6
     for _ in range(200):
-        posterior.predict(STARTS)
+        posterior.predict(SELDOM)
         posterior.update(passes)
         posterior.advance(True)
     assert posterior.guilt() == pytest.approx(suspected, abs=2e-3)
@@ -206,7 +213,7 @@ def test_particles_are_near_the_exact_posterior(seed: int) -> None:
     for posterior in (exact, sample):
         drawing = np.random.default_rng(seed)
         for t in range(6):
-            posterior.predict(STAYS)
+            posterior.predict(OFTEN)
             posterior.update(Comparison(everyone, everyone, table, int(t % 3 == 0)))
             for _ in range(2):
                 group = drawing.random(n) < 0.3
@@ -223,7 +230,7 @@ def test_particles_replay_what_they_are(monkeypatch: pytest.MonkeyPatch) -> None
     table, everyone = Verifier().tables(9)[0], np.ones(9, dtype=bool)
     sample = Particles(9, turn=TURN, size=100, rng=np.random.default_rng(0))
     for t in range(15):  # beyond what is remembered: a summary takes its place
-        sample.predict(STAYS)
+        sample.predict(OFTEN)
         sample.update(Comparison(everyone, everyone, table, int(t in (0, 8, 9))))
         sample.update(Comparison(np.arange(9) == t % 9, everyone, table, int(t % 9 != 4 or t in (0, 8, 9))))
         sample.advance(t % 2 == 0)
@@ -240,8 +247,8 @@ def test_particles_are_drawn_from_the_prior(n: int, seed: int) -> None:
 
 
 def doubted(n: int, likelihood: Likelihood, seed: int) -> Posterior:
-    posterior = Posterior(n, turn=TURN)
-    posterior.predict(STAYS)
+    posterior = Posterior(n, turn=TURN, manners=likelihood.manners)
+    posterior.predict(LYING[: likelihood.manners])
     for comparison in drawn_evidence(n, likelihood, seed, 2):
         posterior.update(comparison)
     return posterior
@@ -254,11 +261,12 @@ def slow_gain(group: np.ndarray, reference: Reference, of: Outlook) -> float:
         liars = -1 if of.glitch[0, h] else int(now[group].sum())
         its = -1 if of.glitch[1, h] else int(of.then[h][reference.group].sum())
         sizes = int(group.sum()), int(reference.group.sum()), int(group[reference.group].sum())
-        row = int(reference.table.rows(sizes[0], np.array(liars), sizes[1], np.array(its), sizes[2]))
+        how = of.manner[:, h].tolist()
+        row = int(reference.table.rows(sizes[0], np.array(liars), sizes[1], np.array(its), sizes[2], *how))
         given = reference.table.density[row]
         if reference.aside is not None:
             lying = -1 if of.glitch[0, h] else int(now[reference.aside.present].sum())
-            row = int(reference.aside.table.rows(sizes[0], np.array(liars), np.array(lying)))
+            row = int(reference.aside.table.rows(sizes[0], np.array(liars), np.array(lying), how[0]))
             given = np.outer(given, reference.aside.table.density[row]).reshape(-1)
         given_each.append(given)
     total = of.weight @ np.array(given_each)
@@ -308,7 +316,7 @@ def test_a_sample_of_hypotheses_stands_for_all() -> None:
     posterior = doubted(9, made_up(0), 0)
     of = outlook(posterior, np.random.default_rng(0), 500)
     assert len(of.weight) <= 500 and of.weight.sum() == pytest.approx(1)
-    lying = posterior.mass.sum(1)[:, 1] @ posterior.sets
+    lying = posterior.mass.sum(1)[:, 1:].sum(1) @ posterior.sets
     assert of.weight @ of.now == pytest.approx(lying, abs=0.06)
 
 
@@ -317,14 +325,14 @@ def test_the_safest_group_is_worth_most(seed: int) -> None:
     """Against every group added up case by case, vehicle 3 being barred."""
     n, likelihood, rng = 4, made_up(seed), np.random.default_rng(seed)
     posterior = doubted(n, likelihood, seed)
-    worth = np.sort(rng.random((n + 1, n + 2)))[:, ::-1]
+    worth = np.sort(rng.random((3, n + 1, n + 2)))[:, :, ::-1]
     barred = np.arange(n) == 3
 
     def expected(group: np.ndarray) -> float:
         total = 0.0
         for (h, _, a), p in np.ndenumerate(posterior.mass):
             liars = int(posterior.sets[h][group].sum()) if a else 0
-            total += p * worth[group.sum(), -1 if a and not posterior.sets[h].any() else liars]
+            total += p * worth[a, group.sum(), -1 if a and not posterior.sets[h].any() else liars]
         return total
 
     best = safest(posterior, worth, barred, np.ones(n, dtype=bool), rng)
@@ -350,40 +358,45 @@ def test_every_density_is_one_and_bounded(likelihood: str | Likelihood, n: int) 
 
 def test_more_liars_or_older_references_never_look_better_on_average() -> None:
     """The shipped densities, measured or not."""
-    likelihood = read_likelihood(CALIBRATED)
+    likelihood = open_likelihood("calibrated")
     middle = (likelihood.edges[1:] + likelihood.edges[:-1]) / 2
     for size in (1, 2, 3, 5, 8, 12, 20):
         clean = [
             float(likelihood.clean(size, max(size, 5), size, age) @ middle) for age in range(1, likelihood.oldest + 1)
         ]
         assert clean == sorted(clean, reverse=True)
-        assert likelihood.dirty(size, 1) @ middle < clean[0]
-        assert likelihood.dirty(size, size) @ middle <= likelihood.dirty(size, 1) @ middle + 0.05
-        assert 0 <= likelihood.worth(size, 1) < likelihood.worth(size, 0) <= 1
+        for manner in range(1, likelihood.manners + 1):
+            one, all_lie = (likelihood.dirty(size, liars, 5, manner) @ middle for liars in (1, size))
+            assert all_lie <= one + 0.05 and one < clean[0]
+            assert 0 <= likelihood.worth(size, 1, manner) < likelihood.worth(size, 0) <= 1
 
 
 def test_rows_of_a_table_by_hand() -> None:
     likelihood = made_up(3)
     table = Table(likelihood, 4, 2)
 
-    def density(size: int, liars: int, reference: int, its: int) -> np.ndarray:
-        return table.density[int(table.rows(size, np.array(liars), reference, np.array(its), 1))]
+    def density(size: int, liars: int, reference: int, its: int, a: int = 0, b: int = 0) -> np.ndarray:
+        return table.density[int(table.rows(size, np.array(liars), reference, np.array(its), 1, a, b))]
 
     assert (density(2, 0, 3, 0) == likelihood.clean(2, 3, 1, 2)).all()
-    assert (density(3, 2, 1, 0) == likelihood.dirty(3, 2)).all()
-    assert (density(3, 0, 2, 1) == likelihood.dirty(2, 1)).all()
-    assert (density(3, 2, 2, 1) == likelihood.both()).all()
-    assert (density(3, -1, 2, 0) == likelihood.glitch()).all() and (density(3, 0, 2, -1) == likelihood.glitch()).all()
+    assert (density(2, 0, 3, 0, 1, 2) == likelihood.clean(2, 3, 1, 2)).all()
+    assert (density(3, 2, 1, 0, 2, 0) == likelihood.dirty(3, 2, 1, 2)).all()
+    assert (density(3, 2, 4, 0, 1, 2) == likelihood.dirty(3, 2, 3, 1)).all()
+    assert (density(3, 0, 2, 1, 1, 2) == likelihood.dirty(2, 1, 3, 2)).all()
+    assert (density(3, 2, 2, 1, 2, 2) == likelihood.both(3, 2, 2, 2)).all()
+    assert (density(4, 2, 2, 1, 1, 2) == likelihood.both(3, 2, 1, 1)).all()
+    for glitch in (density(3, -1, 2, 0, 2, 0), density(3, 0, 2, -1, 0, 1)):
+        assert (glitch == likelihood.glitch()).all()
 
 
 def test_rows_beside_the_free_view_by_hand() -> None:
     likelihood = made_up(3)
     table = BesideTable(likelihood, 3)
 
-    def density(size: int, liars: int, lying: int) -> np.ndarray:
-        return table.density[int(table.rows(size, np.array(liars), np.array(lying)))]
+    def density(size: int, liars: int, lying: int, manner: int = 1) -> np.ndarray:
+        return table.density[int(table.rows(size, np.array(liars), np.array(lying), manner))]
 
-    assert (density(2, 1, 2) == likelihood.beside(2, 1, 3, 2)).all()
+    assert (density(2, 1, 2, 2) == likelihood.beside(2, 1, 3, 2, 2)).all()
     assert (density(1, 0, 0) == likelihood.beside(1, 0, 3, 0)).all()
     assert density(1, 1, -1) == pytest.approx(table.density[:-1].mean(0))
 
@@ -417,11 +430,9 @@ def test_likelihood_doors(tmp_path: Path) -> None:
         Verifier(false_pass=0.5)
     with pytest.raises(ValueError, match="no calibrated likelihood"):
         read_likelihood(tmp_path / "nowhere.json")
-    good = json.loads(CALIBRATED.read_text())
+    good = json.loads((CALIBRATED / "mean.json").read_text())
     path = tmp_path / "likelihood.json"
-    breaks = {"edges": [0, 0.5], "tail": 2, "both": [1.0], "dirty": {"1": {"1": good["both"]}}, "clean": []} | {
-        "beside": []
-    }
+    breaks = {"edges": [0, 0.5], "tail": 2, "both": [[1.0]], "dirty": good["dirty"][:1], "clean": [], "beside": []}
     for name, value in breaks.items():
         path.write_text(json.dumps({**good, name: value}))
         with pytest.raises(ValueError, match=path.name):

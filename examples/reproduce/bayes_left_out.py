@@ -31,7 +31,8 @@ sys.path.insert(0, str(Path(__file__).parents[2]))  # the calibration is another
 
 from cp_env.intervals import t_interval
 from defenders import Bayes, Defender, Prbi, Verdict
-from defenders.likelihood import Likelihood, read_likelihood
+from defenders.calibrated import read_likelihood
+from defenders.likelihood import Likelihood
 from examples.calibrate_likelihood import Args as Calibration
 from examples.calibrate_likelihood import Tape, densities, groups, sorted_out, stored, survey
 
@@ -123,7 +124,7 @@ def row(name: str, k: int, episodes: Sequence[Played]) -> list[str]:
 
 def likelihood_without(tapes: Sequence[Tape], scene: str, calibration: Calibration) -> Likelihood:
     """The densities of all scenes but one."""
-    values = sorted_out((tape for tape in tapes if tape.scene != scene), calibration.n_vehicles)
+    values = sorted_out((tape for tape in tapes if tape.scene != scene), calibration)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "likelihood.json"
         path.write_text(json.dumps(stored(densities(values, calibration), calibration)))
