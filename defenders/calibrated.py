@@ -68,10 +68,10 @@ class Calibrated(Likelihood):
             if not (np.isfinite(cells).all() and (cells >= 0).all() and np.allclose(cells.sum(1), 1, atol=1e-3)):
                 raise ValueError("every density must be a histogram that sums to one; calibrate again")
         self.edges, self.oldest, self.most, self.manners = edges, len(clean), most, len(dirty)
-        self.tail, self._mean = tail, _normalised(honest.mean(0) + lying.mean(0))
-        self._clean = [{kind: self._tailed(row, self._mean) for kind, row in of.items()} for of in clean]
-        self._dirty = [{kind: self._tailed(row, self._mean) for kind, row in of.items()} for of in dirty]
-        self._both = [{kind: self._tailed(row, self._mean) for kind, row in of.items()} for of in both]
+        self.tail, self.middle = tail, _normalised(honest.mean(0) + lying.mean(0))
+        self._clean = [{kind: self._tailed(row, self.middle) for kind, row in of.items()} for of in clean]
+        self._dirty = [{kind: self._tailed(row, self.middle) for kind, row in of.items()} for of in dirty]
+        self._both = [{kind: self._tailed(row, self.middle) for kind, row in of.items()} for of in both]
         self.beside_edges, middle = beside_edges, _stacked(beside).mean(0)
         self._beside = [{kind: self._tailed(row, middle) for kind, row in of.items()} for of in beside]
 
@@ -93,9 +93,6 @@ class Calibrated(Likelihood):
 
     def both(self, size: int, other: int, manner: int = 1, its: int = 1) -> Row:
         return self._both[min(manner, its) - 1][min(size, self.most), min(other, self.most)]
-
-    def glitch(self) -> Row:
-        return self._mean
 
     def power(self, age: int) -> float:
         return super().power(age) * FADES ** max(age - self.oldest, 0)

@@ -48,16 +48,27 @@ class Likelihood(ABC):
         """Somebody lies in both, of `size` and `other` vehicles, in this manner and in `its`."""
 
     @abstractmethod
-    def glitch(self) -> Row:
-        """Anything may have happened."""
-
-    @abstractmethod
     def beside(self, size: int, liars: int, everyone: int, lying: int, manner: int = 1) -> Row:
         """Of a view of `size` vehicles, `liars` of which lie, to the free one of `everyone`, `lying` of which do."""
 
     @abstractmethod
     def worth(self, size: int, liars: int, manner: int = 1) -> float:
         """What a view is good for, in [0, 1]: its expected similarity to what an honest ego would see."""
+
+    def glitch(self, size: int, other: int, manner: int = 1) -> Row:
+        """Nobody lies, and yet lies seem to show, whoever is in the two views: as if liars were drawn anew each time.
+
+        Sizes are of at most `most` vehicles.
+        """
+        shared = range(max(size + other - self.most, 0), min(size, other) + 1)
+        kinds = [
+            [self.clean(size, other, both, 1) for both in shared],
+            [self.dirty(size, liars, other, manner) for liars in range(1, size + 1)],
+            [self.dirty(other, liars, size, manner) for liars in range(1, other + 1)],
+            [self.both(size, other, manner, manner)],
+        ]
+        row: Row = np.mean([np.mean(rows, axis=0) for rows in kinds], axis=0)
+        return row
 
     def power(self, age: int) -> float:
         """How well a reference of this age tells a liar: total variation of what one liar and none show."""
@@ -82,7 +93,7 @@ class Table:
         self._known: dict[bytes, int] = {}
         self._most = most = min(n, likelihood.most)
         self.manners = manners = likelihood.manners
-        self._glitch = self._add(likelihood.glitch())
+        self._glitch = np.zeros((manners + 1, most + 1, most + 1), dtype=np.int64)
         self._clean = np.zeros((n + 1, n + 1, n + 1), dtype=np.int64)
         self._dirty = np.zeros((manners + 1, n + 1, n + 1, most + 1), dtype=np.int64)
         self._both = np.zeros((manners + 1, manners + 1, most + 1, most + 1), dtype=np.int64)
@@ -92,6 +103,8 @@ class Table:
         for manner, size, other in product(of_lies, range(1, n + 1), one_of_most):
             for liars in range(1, size + 1):
                 self._dirty[manner, size, liars, other] = self._add(likelihood.dirty(size, liars, other, manner))
+        for manner, size, other in product(of_lies, one_of_most, one_of_most):
+            self._glitch[manner, size, other] = self._add(likelihood.glitch(size, other, manner))
         for manner, its, size, other in product(of_lies, of_lies, one_of_most, one_of_most):
             self._both[manner, its, size, other] = self._add(likelihood.both(size, other, manner, its))
         self.density: Float[np.ndarray, "R B"] = np.array(self._rows)
@@ -122,7 +135,8 @@ class Table:
         )
         row = np.where((liars == 0) & (its_liars == 0), self._clean[size, reference, shared], row)
         row = np.where((liars > 0) & (its_liars > 0), self._both[manner, its_manner, one, other], row)
-        return np.where((liars < 0) | (its_liars < 0), self._glitch, row)
+        glitch = self._glitch[np.where(liars < 0, manner, its_manner), one, other]
+        return np.where((liars < 0) | (its_liars < 0), glitch, row)
 
 
 class BesideTable:
@@ -132,17 +146,22 @@ class BesideTable:
         rows: list[Row] = []
         self.manners = manners = likelihood.manners
         self._row = np.zeros((manners + 1, everyone + 1, everyone + 1, everyone + 1), dtype=np.int64)
-        for manner, lying, size in product(range(1, manners + 1), range(everyone + 1), range(1, everyone + 1)):
-            for liars in range(max(size + lying - everyone, 0), min(size, lying) + 1):
-                self._row[manner, size, liars, lying] = len(rows)
-                rows.append(likelihood.beside(size, liars, everyone, lying, manner))
-        self._glitch = len(rows)
-        self.density: Float[np.ndarray, "R B"] = np.array([*rows, np.mean(rows, axis=0)])
+        self._glitch = np.zeros((manners + 1, everyone + 1), dtype=np.int64)
+        for manner, size in product(range(1, manners + 1), range(1, everyone + 1)):
+            first = len(rows)
+            for lying in range(everyone + 1):
+                for liars in range(max(size + lying - everyone, 0), min(size, lying) + 1):
+                    self._row[manner, size, liars, lying] = len(rows)
+                    rows.append(likelihood.beside(size, liars, everyone, lying, manner))
+            self._glitch[manner, size] = len(rows)
+            rows.append(np.mean(rows[first:], axis=0))
+        self.density: Float[np.ndarray, "R B"] = np.array(rows)
 
     def rows(self, size: int | Counts, liars: Counts, lying: Counts, manner: int | Counts = 1) -> Counts:
         """Rows of `density`; -1 lying stand for a glitch."""
-        row = self._row[np.maximum(manner, 1), size, np.maximum(liars, 0), np.maximum(lying, 0)]
-        return np.where(lying < 0, self._glitch, row)
+        manner = np.maximum(manner, 1)
+        row = self._row[manner, size, np.maximum(liars, 0), np.maximum(lying, 0)]
+        return np.where(lying < 0, self._glitch[manner, size], row)
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,9 +191,6 @@ class Verifier(Likelihood):
 
     def both(self, size: int, other: int, manner: int = 1, its: int = 1) -> Row:
         return self.dirty(1, 1, 1)
-
-    def glitch(self) -> Row:
-        return np.array([0.5, 0.5])
 
     def beside(self, size: int, liars: int, everyone: int, lying: int, manner: int = 1) -> Row:
         """One bin: nothing resembles a lie here, and what an honest view errs it errs against any other too."""

@@ -25,7 +25,8 @@ from jaxtyping import Bool, Float
 
 from defenders.likelihood import BesideTable, Table
 
-GLITCH = 0.05
+import os
+GLITCH = np.array([0.05, float(os.environ.get('G2','1'))])  # by manner
 STARTS, STAYS = 0.02, 0.7  # Σ q after a pause, and q of a manner after a frame with such lies
 
 Sets = Bool[np.ndarray, "S n"]
@@ -157,7 +158,7 @@ def predicted(density: Density, sets: Sets, birth: Float[np.ndarray, " S"], turn
     joint = density[:, :, None] * np.array([1 - lying.sum(), *lying])
     joint[:, :, 1:] *= 1 - turn
     joint[:, 0, 1:] += turn * lying * birth[:, None]
-    joint[~sets.any(1), :, 1:] *= GLITCH
+    joint[~sets.any(1), :, 1:] *= GLITCH[: len(lying)]
     return joint
 
 

@@ -5,7 +5,8 @@
 
 Every group's view of the calibration scenes was compared with every group's of the frame before, and with everyone's of
 its own frame, while PGD lay in k = 0 … 4 of five vehicles (`calibrate_likelihood.py` keeps them). A defender that
-compares nothing else can be replayed on them exactly, since PGD heeds no defender. The densities of `bayes` are those
+compares nothing else can be replayed on them exactly, since PGD heeds no defender (the quiet liars that are measured
+there as well do, and are left out here, but not out of the densities). The densities of `bayes` are those
 of the other eleven scenes; PRBI's thresholds by size were calibrated on these very scenes, which helps it.
 
 after: frames of attack until the defender is sure, of the episodes in which it is within the six measured; ID and MC:
@@ -144,7 +145,7 @@ def main(args: Args) -> None:
     n = args.calibration.n_vehicles
     for k in range(n):
         for name, make in players.items():
-            mine = [tape for tape in tapes if len(tape.liars) == k]
+            mine = [tape for tape in tapes if len(tape.liars) == k and tape.attack not in args.calibration.quiet]
             table.add_row(*row(name, k, [play(make(tape), tape, n, args.seed) for tape in mine]))
         table.add_section()
     Console(width=120).print(table)

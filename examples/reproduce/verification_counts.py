@@ -95,7 +95,8 @@ def count_on_detector(row: str, k: int, args: Args) -> np.ndarray:
     torch.set_num_threads(args.threads)
     bank = SceneBank(open_source(args.scenes), load_detector())
     counts = np.full((args.n_scenes, args.frames - 1), -1)
-    for number, scene in enumerate(bank.source.names()[: args.n_scenes]):
+    names = bank.source.names()
+    for number, scene in enumerate(names[i * len(names) // args.n_scenes] for i in range(args.n_scenes)):
         rng = np.random.default_rng([args.seed, number, k])
         defender, n_vehicles, honest = make(row, k, args)
         liars = tuple(sorted((len(honest) + rng.permutation(n_vehicles - len(honest))[:k]).tolist()))

@@ -1,0 +1,79 @@
+"""Does `bayes` ever accuse anybody where nobody lies? A thousand frames and more on the detector, each verdict looked at.
+
+    python examples/reproduce/bayes_clean.py
+    python examples/reproduce/bayes_clean.py --scenes town/train --every 4
+
+Every scene is one episode from its first frame on. accused: frames with a suspect; left out: vehicles not fused, a
+frame; looks: verifications a frame.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+import tyro
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+from cp_env.bank import SceneBank
+from cp_env.detector import load_detector
+from cp_env.scenes import open_source
+from cp_env.world import World
+
+
+@dataclass
+class Args:
+    scenes: str = "town/test"
+    every: int = 2  # play every second scene
+    frames: int = 100  # of each, at most
+    n_vehicles: int = 5
+    defender: str = "bayes"
+    fusion: str = "mean"
+    seed: int = 0
+    threads: int = 1
+
+
+@dataclass(frozen=True)
+class Episode:
+    scene: str
+    frames: int
+    accused: int
+    left_out: int
+    looks: int
+
+
+def play(args: Args, bank: SceneBank, scene: str) -> Episode:
+    world = World(1, defender=args.defender, bank=bank, n_vehicles=args.n_vehicles, n_attackers=0, fusion=args.fusion)
+    world.reset([np.random.SeedSequence(args.seed)], options={"scene": scene, "start": 0})
+    frames = min(args.frames, bank.source.load(scene).n_frames)
+    nothing = torch.zeros_like(world.situation().received[:, :0])
+    outcomes = [world.step(nothing) for _ in range(frames)]
+    verdicts = [outcome.verdicts[0] for outcome in outcomes]
+    return Episode(
+        scene,
+        frames,
+        sum(bool(verdict.suspects) for verdict in verdicts),
+        sum(args.n_vehicles - len(verdict.collaborators) for verdict in verdicts),
+        int(sum(outcome.verifications[0] for outcome in outcomes)),
+    )
+
+
+def main(args: Args) -> None:
+    torch.set_num_threads(args.threads)
+    bank = SceneBank(open_source(args.scenes), load_detector(args.fusion), progress=False)
+    episodes = [play(args, bank, scene) for scene in track(bank.source.names()[:: args.every], "playing")]
+    table = Table("scene", "frames", "accused", "left out", "looks", title=f"{args.defender}, nobody lies, {args.scenes}")
+    for e in episodes:
+        table.add_row(e.scene, str(e.frames), str(e.accused), f"{e.left_out / e.frames:.2f}", f"{e.looks / e.frames:.2f}")
+    total = sum(e.frames for e in episodes)
+    sums = [sum(getattr(e, name) for e in episodes) for name in ("accused", "left_out", "looks")]
+    table.add_section()
+    table.add_row("all", str(total), str(sums[0]), *(f"{x / total:.2f}" for x in sums[1:]))
+    Console().print(table)
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Args, description=__doc__))
