@@ -39,7 +39,7 @@ TOLD = {
     "prbi": "in_loop:threshold=0.35,steps=8",
     "robosac": "in_loop:reference=ego,threshold=0.3,steps=8",
     "pasac:score=similarity": "in_loop:reference=ego,groups=halves,threshold=0.37,steps=6",
-    "bayes": "in_loop:threshold=0.8,steps=8",
+    "bayes": "in_loop:threshold=0.6,steps=8",
 }
 """What each defender compares, its attacker in the loop is told; see examples/reproduce/adaptive_attacks.py."""
 

@@ -42,7 +42,7 @@ TOLD = {
     "prbi:threshold=calibrated": "in_loop:threshold=0.48,steps=6",
     "robosac": "in_loop:reference=ego,threshold=0.3,steps=6",
     "pasac:score=similarity": "in_loop:reference=ego,groups=halves,threshold=0.37,steps=6",
-    "bayes": "in_loop:threshold=0.4,steps=6",
+    "bayes": "in_loop:threshold=0.6,steps=6",
 }
 """The attacker in the loop is told what each defender compares with what: its thresholds; for bayes, which has none,
 the similarity that did most damage on the calibration scenes."""
