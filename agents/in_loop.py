@@ -11,11 +11,11 @@ from torch import Tensor
 
 from agents.ascent import Ascent
 from agents.eot import drawn_from
-from agents.foresight import Pair, alike, damage, foresee, honest
 from agents.picture import Boxes, Picture, alone, both, crossings, remembered
 from agents.protocol import Streams
 from agents.steepest import Steepest
 from agents.views import Audience, fused
+from cp_env.foresight import Pair, alike, damage, foresee, honest
 from cp_env.types import View
 from cp_env.world import Situation
 

@@ -16,11 +16,11 @@ from torch import Tensor
 from torch.nn import functional
 
 from agents.ascent import silence
-from agents.foresight import foresee, honest
 from agents.views import Score, Views
 from cp_env.detector.adversarial import BLOCK, MARGIN, REACH
 from cp_env.detector.decoder import Dense
 from cp_env.detector.loss import Targets, stack, targets
+from cp_env.foresight import foresee, honest
 from cp_env.geometry import grid_origin
 from cp_env.world import Situation
 

@@ -42,6 +42,8 @@ class Recipe:
     """one actor moves all liars of a world; else they share a policy that moves each by what it sees itself"""
     recurrent: bool = False
     """an actor that remembers the frames before (needs the extra `recurrent`)"""
+    action: str = "guided"
+    """what its numbers mean: guided, quiet or basis, see docs/actions.md"""
     knowledge: str = "gray-box"
     """how much of the defender the policy sees: black-box, gray-box or white-box"""
     reward: str = "damage"
@@ -79,8 +81,8 @@ class Recipe:
     @property
     def knobs(self) -> dict[str, Any]:
         """Of the environment."""
-        copied = ("n_vehicles", "n_attackers", "knowledge", "reward", "max_frames")
-        return {"action": "guided", "observation": "compact"} | {name: getattr(self, name) for name in copied}
+        copied = ("n_vehicles", "n_attackers", "action", "knowledge", "reward", "max_frames")
+        return {"observation": "compact"} | {name: getattr(self, name) for name in copied}
 
     @property
     def n_segments(self) -> int:

@@ -66,8 +66,9 @@ def parallel_env(
             `cp_env.scenes.SOURCES` with its path and options ("v2x-sim:/data/V2X-Sim-2.0?split=test"), or any
             `SceneSource`.
         action: how a Box in [-1, 1] becomes a perturbation. "full": the raw map (C, H, W), times the budget; "basis": a
-            few coefficients on fixed directions; "guided": at most 16 numbers that steer the detector's gradient.
-            Numbers outside the box are clipped to it; NaN and infinity are refused.
+            few coefficients on fixed directions; "guided": at most 16 numbers that steer the detector's gradient;
+            "quiet": the same, held back so that the ego's view resembles its last output. Numbers outside the box are
+            clipped to it; NaN and infinity are refused.
         observation: "features": a Dict of the slot's own encoded map `features` (C, H, W) and a `context` vector;
             "compact": one vector of at most about 100 numbers.
         knowledge: how much of the defender the context shows: "black-box", "gray-box" or "white-box".

@@ -3,6 +3,7 @@
     full     the raw map (C, H, W): gradient attackers act through this same door (PPO on it diverges).
     basis    a few coefficients on fixed directions: black-box.
     guided   eight numbers that steer the detector's own gradient: white-box; what PPO learns on.
+    quiet    the same, held back so that the ego's view resembles its last output (`cp_env.quiet`).
 
 Every map clips actions to [-1, 1]; NaN, infinity and wrong shapes are a ValueError.
 """
@@ -211,9 +212,9 @@ def _shrink(
     return delta * (radius / length).clamp(max=1.0)
 
 
-_MAPS: dict[str, type[Full] | type[Basis] | type[Guided]] = {"full": Full, "basis": Basis, "guided": Guided}
-
-
 def make_action(name: str, channels: int, size: int) -> ActionMap:
     """The action map called `name`, for shared maps of (channels, size, size)."""
-    return _MAPS[choose("action map", name, ACTIONS)](channels, size)
+    from cp_env.quiet import Quiet  # here, because it builds on `Guided`
+
+    maps: dict[str, type[Full | Basis | Guided]] = {"full": Full, "basis": Basis, "guided": Guided, "quiet": Quiet}
+    return maps[choose("action map", name, ACTIONS)](channels, size)

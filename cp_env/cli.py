@@ -132,7 +132,7 @@ def play(
         defender: who guards the ego.
         out: where the GIF goes.
         scenes: a name such as "town/test", or kind:path?option=value&option=value (docs/scenes.md).
-        action: "guided", "basis" or "full".
+        action: "guided", "quiet", "basis" or "full".
         fusion: "mean", "max", "sum", "v2vnet" or "disconet".
         n_vehicles: how many share their maps.
         n_attackers: how many of them lie.
@@ -183,7 +183,7 @@ def check(
 
     Args:
         defender: who guards the ego.
-        action: "guided", "basis" or "full".
+        action: "guided", "quiet", "basis" or "full".
         observation: "features" or "compact".
         fusion: "mean", "max", "sum", "v2vnet" or "disconet".
         scenes: a name such as "town/test", or kind:path?option=value&option=value (docs/scenes.md).

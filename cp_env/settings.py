@@ -9,7 +9,7 @@ from typing import Any
 
 FUSIONS = ("mean", "max", "sum", "v2vnet", "disconet")
 NORMS = ("linf", "l2")
-ACTIONS = ("guided", "basis", "full")
+ACTIONS = ("guided", "quiet", "basis", "full")
 OBSERVATIONS = ("features", "compact")
 KNOWLEDGE = ("black-box", "gray-box", "white-box")
 REWARDS = ("damage", "ap_drop", "stealth")

@@ -357,9 +357,10 @@ def test_every_density_is_one_and_bounded(likelihood: str | Likelihood, n: int) 
         assert (ratio <= density.max(0) / (likelihood.tail * likelihood.middle) * 1.001).all()
 
 
-def test_more_liars_or_older_references_never_look_better_on_average() -> None:
+@pytest.mark.parametrize("fusion", [path.stem for path in sorted(CALIBRATED.glob("*.json"))])
+def test_more_liars_or_older_references_never_look_better_on_average(fusion: str) -> None:
     """The shipped densities, measured or not."""
-    likelihood = open_likelihood("calibrated")
+    likelihood = open_likelihood("calibrated", fusion)
     middle = (likelihood.edges[1:] + likelihood.edges[:-1]) / 2
     for size in (1, 2, 3, 5, 8, 12, 20):
         clean = [

@@ -12,12 +12,12 @@ import torch
 import agents
 from agents import eot, framing
 from agents.blind import seen_by_ego, unseen
-from agents.foresight import alike, foresee
 from agents.picture import Picture, both, crossings, remembered
 from agents.ramp import Ramp
 from agents.timing import Timed
 from cp_env.bank import SceneBank
 from cp_env.detector import load_detector
+from cp_env.foresight import alike, foresee
 from cp_env.geometry import grid_origin
 from cp_env.scenes import open_source
 from cp_env.scenes.clip import Clip

@@ -1,0 +1,57 @@
+"""An action map for liars who mind what the ego saw last: guided ascent, held back until its view stays similar."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from cp_env.action import Guided
+from cp_env.foresight import alike, foresee
+from cp_env.world import Situation
+
+SHIFTED = (0, 5, 6)  # strength, width and persistence: 0 is the end of the range, not the middle
+GATE = 7
+RUNGS = 6
+
+
+class Quiet(Guided):
+    """Nine numbers: those of `guided`, and a floor under the similarity of the ego's view to its last output.
+
+    The ascent gives the δ that the liars would like to send. Sent is the mixture of that and of their last δ, of
+    `RUNGS`, that goes furthest and whose view of those whom the ego is expected to fuse is still similar, Eq. (5), to
+    the ego's last output by the floor, -1 … +1 being 0 … 1; or else the one that is most similar. So 0, the middle of
+    all nine, is an attack of full strength that keeps half of what was seen; strength, aim's width and persistence
+    have their ends there, and the gate shuts below -0.5. Liars share the mean of their floors. Our choice: what
+    `agents.in_loop` does by a rule, for learners.
+    """
+
+    size = 9
+
+    def __call__(self, actions: Float[np.ndarray, "E k *a"], situation: Situation) -> Float[Tensor, "E k C H W"]:
+        steering = actions[..., :8].copy()
+        steering[..., SHIFTED] = np.minimum(steering[..., SHIFTED] + 1, 1)
+        steering[..., GATE] += 0.5
+        device = situation.received.device
+        floor = torch.from_numpy((actions[..., 8].mean(axis=1) + 1) / 2)
+        before = None if self._last is None else self._last.clone()
+        if before is not None:
+            before[self._stale] = 0
+        wanted = super().__call__(np.clip(steering, -1, 1), situation)
+        if before is None:
+            before = torch.zeros_like(wanted)
+        before = before * (wanted.flatten(2).abs().amax(2) > 0)[..., None, None, None]  # who pauses sends nothing
+        rungs = [before + share * (wanted - before) for share in np.linspace(1, 0, RUNGS).tolist()]
+        groups = [frozenset(row.nonzero().flatten().tolist()) for row in situation.fused.cpu()]
+        pairs = list(enumerate(groups))
+        likeness = torch.from_numpy(
+            np.stack([alike(foresee(situation, delta, pairs), list(situation.output)) for delta in rungs])
+        )
+        kept = likeness >= floor
+        best = torch.where(kept.any(0), kept.float().argmax(0), likeness.argmax(0)).to(device)
+        sent = torch.stack(rungs)[best, torch.arange(len(best), device=device)]
+        assert self._last is not None
+        fires = wanted.flatten(2).abs().amax(2)[..., None, None, None] > 0
+        self._last = torch.where(fires, sent, self._last)
+        return sent
