@@ -90,6 +90,7 @@ def draw(rows: list[Row], args: Args) -> Path:
             every, [log2(n * comb(n, int(i))) / 2 for i in every], color="crimson", lw=1, label="log2(n C(n, k)) / 2"
         )
         axis.set(title=f"{n} vehicles", xlabel="liars", ylim=(0, None))
+        axis.xaxis.get_major_locator().set_params(integer=True)
     axes[0, 0].set_ylabel("frames of attack")
     axes[0, 0].legend(fontsize=7, loc="lower right")
     path = args.out / "information_limit.png"
