@@ -11,9 +11,9 @@ TORCH := $(shell grep '^torch==' constraints.txt)
 DEVKIT := .venv-devkit
 LIBRARIES := benchmarl rllib supersuit torchrl
 ALONE = .venv-$*/bin/python -m pip install --disable-pip-version-check --quiet --retries 1
-LEADERBOARD ?= --defenders none ego_only prbi prbi:threshold=calibrated robosac pasac:score=similarity bayes oracle \
-	--attackers none pgd noise policy:name=prbi-0 in_loop sacrifice \
-	--ks 2 1 4 --budgets 0.3 0.1 --side-attackers pgd --n-scenes 3 --frames 10 --batch 3
+LEADERBOARD ?= --defenders none ego_only prbi prbi:threshold=calibrated robosac pasac:score=similarity bayes bayes:looks=8 oracle \
+	--attackers none pgd noise policy:name=prbi-quiet in_loop:steps=6 ramp:steps=6 \
+	--ks 2 1 4 --budgets 0.3 0.1 --side-attackers pgd --n-scenes 3 --frames 20 --batch 3
 export OMP_NUM_THREADS ?= 1
 
 .PHONY: demo test lint bench attacks devkit docs libraries $(LIBRARIES:%=library-%) ray leaderboard sumo record clean

@@ -16,6 +16,14 @@ GATE = 7
 RUNGS = 6
 
 
+def read(actions: Float[np.ndarray, "*b 9"]) -> tuple[Float[np.ndarray, "*b 8"], Float[np.ndarray, "*b"]]:
+    """The guided action in a quiet one, and the floor."""
+    steering = actions[..., :8].copy()
+    steering[..., SHIFTED] += 1
+    steering[..., GATE] += 0.5
+    return np.clip(steering, -1, 1), (actions[..., 8] + 1) / 2
+
+
 class Quiet(Guided):
     """Nine numbers: those of `guided`, and a floor under the similarity of the ego's view to its last output.
 
@@ -30,15 +38,12 @@ class Quiet(Guided):
     size = 9
 
     def __call__(self, actions: Float[np.ndarray, "E k *a"], situation: Situation) -> Float[Tensor, "E k C H W"]:
-        steering = actions[..., :8].copy()
-        steering[..., SHIFTED] = np.minimum(steering[..., SHIFTED] + 1, 1)
-        steering[..., GATE] += 0.5
-        device = situation.received.device
-        floor = torch.from_numpy((actions[..., 8].mean(axis=1) + 1) / 2)
+        steering, floors = read(actions)
+        device, floor = situation.received.device, torch.from_numpy(floors.mean(axis=1))
         before = None if self._last is None else self._last.clone()
         if before is not None:
             before[self._stale] = 0
-        wanted = super().__call__(np.clip(steering, -1, 1), situation)
+        wanted = super().__call__(steering, situation)
         if before is None:
             before = torch.zeros_like(wanted)
         before = before * (wanted.flatten(2).abs().amax(2) > 0)[..., None, None, None]  # who pauses sends nothing

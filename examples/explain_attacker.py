@@ -22,6 +22,7 @@ from rich.table import Table
 
 from agents.policy import Policy, load_policy, policy_names
 from agents.training import open_bank
+from cp_env import quiet
 from cp_env.action import Guidance
 from cp_env.evaluation import Cell, Protocol, Stage
 from cp_env.world import Outcome
@@ -39,6 +40,7 @@ UNITS = {
     "width": "of the aim, m",
     "persistence": "of the last lie",
     "fires": "share of frames",
+    "floor": "similarity",
 }
 
 
@@ -79,7 +81,7 @@ class Overheard:
 
 
 def watch(policy: Policy, args: Args) -> dict[str, list[np.ndarray]]:
-    """Every slot's guidance (8 numbers, in their units) in every frame, by moment; grace frames are left out."""
+    """What every slot's numbers mean (8 or 9, in their units) in every frame, by moment; grace frames are left out."""
     bank, told = open_bank(args.scenes, args.n_scenes), Overheard(policy)
     names, frames = bank.source.names(), policy.knobs["max_frames"]
     protocol = Protocol(scenes=bank.source, names=names, frames=frames, n_vehicles=policy.knobs["n_vehicles"])
@@ -88,12 +90,18 @@ def watch(policy: Policy, args: Args) -> dict[str, list[np.ndarray]]:
     outcome: Outcome | None = None
     for frame in range(frames):
         before, outcome = outcome, stage.move()
-        guidance = Guidance.read(torch.from_numpy(told.played[0]), stage.world.detector.extent)
-        numbers = np.stack([getattr(guidance, f.name).numpy() for f in fields(Guidance)], axis=-1)
+        numbers = meaning(told.played[0], policy.knobs["action"], stage.world.detector.extent)
         if frame >= protocol.grace_frames:
             for moment, slots in zip(moments(before, len(names)), numbers, strict=True):
                 played[moment] += list(slots)
     return played
+
+
+def meaning(actions: np.ndarray, action: str, extent: float) -> np.ndarray:
+    """The numbers of guided or quiet actions in the units of UNITS, in its order."""
+    actions, *floor = quiet.read(actions) if action == "quiet" else (actions,)
+    guidance = Guidance.read(torch.from_numpy(actions), extent)
+    return np.stack([*(getattr(guidance, f.name).numpy() for f in fields(Guidance)), *floor], axis=-1)
 
 
 def main(args: Args) -> None:
@@ -104,10 +112,11 @@ def main(args: Args) -> None:
         total = sum(len(rows) for rows in played.values())
         table = Table("number", *MOMENTS, title=f"{name}: mean ± deviation over slots and frames")
         table.add_row("share of frames", *(f"{len(played[moment]) / total:.0%}" for moment in MOMENTS))
-        for column, part in enumerate(fields(Guidance)):
+        width = next(len(rows[0]) for rows in played.values() if rows)
+        for column, (number, unit) in enumerate(list(UNITS.items())[:width]):
             cells = [np.array(played[moment])[:, column] if played[moment] else None for moment in MOMENTS]
             shown = ["" if cell is None else f"{cell.mean():.2f} ± {cell.std():.2f}" for cell in cells]
-            table.add_row(f"{part.name} ({UNITS[part.name]})", *shown)
+            table.add_row(f"{number} ({unit})", *shown)
         console.print(table)
 
 
