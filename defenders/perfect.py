@@ -150,7 +150,7 @@ class PerfectWorld:
         if queries > most:
             raise QueryError(f"more than max_queries = {most} queries in one frame")
         for group in query.groups:
-            if not group & self.present or not group <= self.everyone:
+            if group.isdisjoint(self.present) or not group <= self.everyone:
                 raise QueryError(
                     f"a group must hold one or more of {self.n_vehicles} vehicles, got {sorted(group)}; present in "
                     f"this frame are {sorted(self.present)}"

@@ -182,6 +182,8 @@ class Prbi(Defender):
         """argsort(P_benign). Of equals, those convicted before come first, and the rest as `reading.ties` says."""
         n = len(self.everyone)
         ties = self.rng.permutation(n) if self.reading.ties == "random" else np.arange(n)
+        if not self.known:
+            return ties[self.probability[ties].argsort(kind="stable")]
         unknown = np.array([i not in self.known for i in ties.tolist()])
         order: np.ndarray = ties[np.lexsort((unknown, self.probability[ties]))]
         return order

@@ -33,7 +33,7 @@ class Query:
     verification: bool = True
 
     def __init__(self, groups: Iterable[Iterable[int]], verification: bool = True) -> None:
-        object.__setattr__(self, "groups", tuple(frozenset(int(i) for i in group) for group in groups))
+        object.__setattr__(self, "groups", tuple(frozenset(map(int, group)) for group in groups))
         object.__setattr__(self, "verification", verification)
 
 
@@ -46,8 +46,8 @@ class Verdict:
     converged: bool = False
 
     def __init__(self, collaborators: Iterable[int], suspects: Iterable[int] = (), converged: bool = False) -> None:
-        object.__setattr__(self, "collaborators", frozenset(int(i) for i in collaborators))
-        object.__setattr__(self, "suspects", frozenset(int(i) for i in suspects))
+        object.__setattr__(self, "collaborators", frozenset(map(int, collaborators)))
+        object.__setattr__(self, "suspects", frozenset(map(int, suspects)))
         object.__setattr__(self, "converged", bool(converged))
 
 

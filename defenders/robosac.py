@@ -94,7 +94,7 @@ class Robosac(Defender):
 
     def inspect(self, frame: Frame) -> Inspection:
         self.accused = frozenset()
-        self.there = [i for i in self.pool.tolist() if i in frame.present]
+        self.there = np.array([i for i in self.pool.tolist() if i in frame.present], dtype=np.int64)
         team: Group = frozenset()
         if self.n_attackers is None:
             team = yield from self._probe(frame)
@@ -103,7 +103,7 @@ class Robosac(Defender):
                 (reference,) = yield Query([{0}], verification=False)
                 team = yield from self._sample(frame, reference, self.size, self.tries)
             if len(team - self._ego) == len(self.pool) - self.n_attackers:
-                self.accused = frozenset(self.there) - team  # as many are left out as lie
+                self.accused = frozenset(self.there.tolist()) - team  # as many are left out as lie
         return Verdict(team or {0}, self.accused)
 
     def belief(self) -> np.ndarray:
@@ -155,7 +155,7 @@ class Robosac(Defender):
         if not team and self.found is not None:
             team = yield from self._sample(frame, reference, len(self.pool) - self.found, budget)
         if team:
-            self.accused = frozenset(self.there) - team
+            self.accused = frozenset(self.there.tolist()) - team
         return team
 
 

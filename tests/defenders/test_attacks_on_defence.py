@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from defenders import Bayes, Prbi
+from defenders import Bayes, Defender, Pasac, Prbi, Robosac
+from defenders.likeness import Group
 from defenders.perfect import Episode, Terms, every
-from defenders.tally import Tally, play_many
+from defenders.tally import Tally, members, play_many
 from examples.reproduce import prbi_attacks
 from examples.reproduce.prbi_attacks import FIVE, SITUATIONS
 
@@ -20,7 +21,7 @@ def robust() -> Prbi:
     return Prbi(stopping="robust", rearm=True)
 
 
-def played(defender: Prbi, terms: Terms, episodes: int = EPISODES) -> Tally:
+def played(defender: Defender, terms: Terms, episodes: int = EPISODES) -> Tally:
     return play_many(defender, terms, episodes=episodes, seed=0)
 
 
@@ -132,3 +133,98 @@ def test_the_rows() -> None:
     assert row.most <= 8 and np.isfinite(row.looks)
     nobody = prbi_attacks.measure(Prbi(), SITUATIONS["nobody"], 1, 0)
     assert nobody.ID is None and nobody.looks == 0
+
+
+# ROBOSAC and PASAC: they compare with what the ego sees alone, and judge every frame anew.
+
+
+def knowing(k: int) -> Robosac:
+    return Robosac(reading="until_success", n_attackers=k)
+
+
+def trusted(situation: str) -> Terms:
+    """With an ego that is honest, as both assume."""
+    terms = SITUATIONS[situation]
+    return replace(terms, honest={0}, max_frames=min(terms.max_frames, 100))
+
+
+@pytest.mark.parametrize("situation", sorted(SITUATIONS))
+def test_an_honest_ego_never_fuses_a_lie(situation: str) -> None:
+    """Whenever and in whatever number the others lie: a frame says nothing about the next to either."""
+    terms = trusted(situation)
+    for defender in (Pasac(), Robosac(), knowing(terms.n_liars)):
+        tally = played(defender, terms, 3)
+        assert not tally.deceived.any(), type(defender).__name__
+        assert not tally.converged.any(), "there is nothing to converge: each frame is paid for"
+
+
+@pytest.mark.parametrize("situation", sorted(set(SITUATIONS)))
+def test_pasac_accuses_who_lies_in_this_very_frame(situation: str) -> None:
+    """The turncoat at once, those who come and go while they are there, and nobody who pauses: it forgets them."""
+    tally = played(Pasac(), trusted(situation), 3)
+    assert (tally.accused == tally.lying).all()
+
+
+def test_robosac_that_knows_k_finds_the_turncoat_at_once_and_accuses_too_many_before() -> None:
+    """It leaves out as many as it was told lie, of whom one was honest until frame 20 (the first is not recorded)."""
+    tally = played(knowing(2), trusted("turncoat"))
+    before, after = (tally.accused[:, :19], tally.lying[:, :19]), (tally.accused[:, 19:], tally.lying[:, 19:])
+    assert (after[0] == after[1]).all()
+    assert (before[0] & before[1] == before[1]).all() and (before[0] != before[1]).all()
+
+
+@pytest.mark.parametrize("situation", ["every 3", "every 5", "out of step"])
+def test_robosac_that_knows_k_accuses_innocents_while_liars_pause(situation: str) -> None:
+    tally = played(knowing(2), trusted(situation))
+    at_work = members(tally.lying, 5).sum(axis=2) == 2
+    assert (tally.accused == tally.lying)[at_work].all()
+    assert (members(tally.accused & ~tally.liars[:, None], 5).any(axis=2))[~at_work].any()
+
+
+def test_robosac_searches_in_vain_while_an_honest_vehicle_is_away() -> None:
+    """Of three others two lie, and teams of n - k = 2 are drawn of them: the ego stays alone, at a thousand looks."""
+    tally = played(knowing(2), trusted("drops out"), 1)
+    away = (np.arange(1, 41) >= 2) & (np.arange(1, 41) < 22)
+    assert (tally.verifications[0, away] == 1000).all() and (tally.fused[0, away] == 1).all()
+    assert tally.verifications[0, ~away].max() < 200
+
+
+def test_all_but_the_ego_lie() -> None:
+    """Told so, ROBOSAC has nobody to draw and pays nothing; PASAC looks at its whole tree below the root."""
+    terms = trusted("all but one")
+    for defender, looks in ((knowing(4), 0), (Robosac(), 5), (Pasac(), 6)):
+        tally = played(defender, terms, 2)
+        assert (tally.all_verifications == looks).all() and (tally.fused == 1).all()
+
+
+@pytest.mark.parametrize(("defender", "looks"), [(Pasac(), 2), (Robosac(), 1), (knowing(0), 1)])
+def test_peace_is_paid_for_in_every_frame(defender: Defender, looks: int) -> None:
+    tally = played(defender, SITUATIONS["nobody"], 1)
+    assert tally.frames.tolist() == [1000] and (tally.all_verifications == looks).all()
+    assert not tally.accused.any() and (tally.fused == 0b11111).all()
+
+
+@pytest.mark.parametrize("n_liars", [1, 2, 3])
+def test_a_lying_ego_is_believed(n_liars: int) -> None:
+    """Its own view is the reference, so nobody honest resembles it: it acts on its lie, and PASAC accuses them all."""
+    terms = replace(FIVE, n_liars=n_liars, honest={4, 3, 2, 1} - set(range(1, n_liars)))
+    for defender in (knowing(n_liars), Robosac(), Pasac()):
+        tally = played(defender, replace(terms, max_frames=2), 2)
+        assert (tally.fused == 1).all() and (tally.deceived == 1).all()
+        if isinstance(defender, Pasac):
+            assert (tally.wronged == 1).all()
+
+
+def louder(group: Group, lying: Group, rng: np.random.Generator) -> float:
+    """The ego's lie drowns the others' maps: whoever is fused with it, the view is as the ego's own."""
+    return float(not lying or 0 in lying)
+
+
+def test_a_team_that_resembles_the_ego_s_lie_is_accepted() -> None:
+    """The first one drawn, liars in it or not; accused are those left out, be they ever so honest."""
+    terms = replace(FIVE, honest={2, 3, 4}, likeness=louder, max_frames=5)  # 0 and 1 lie
+    robosac, pasac = (played(defender, terms) for defender in (knowing(2), Pasac()))
+    assert (robosac.all_verifications == 1).all() and (pasac.all_verifications == 2).all()
+    assert (robosac.deceived >= 1).all() and (robosac.deceived == 2).any()
+    assert members(robosac.accused & ~robosac.liars[:, None], 5).any(axis=2).all()
+    assert (pasac.fused == 0b11111).all() and not pasac.accused.any()
