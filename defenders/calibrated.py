@@ -1,4 +1,4 @@
-"""Densities of similarities as they were measured, a file of histograms for every fusion that ships."""
+"""Densities of similarities as they were measured: a file of histograms for a fusion."""
 
 from __future__ import annotations
 
