@@ -21,7 +21,7 @@ def read(actions: Float[np.ndarray, "*b 9"]) -> tuple[Float[np.ndarray, "*b 8"],
     steering = actions[..., :8].copy()
     steering[..., SHIFTED] += 1
     steering[..., GATE] += 0.5
-    return np.clip(steering, -1, 1), (actions[..., 8] + 1) / 2
+    return np.clip(steering, -1, 1), (1 - actions[..., 8]) / 2
 
 
 class Quiet(Guided):
@@ -29,7 +29,7 @@ class Quiet(Guided):
 
     The ascent gives the δ that the liars would like to send. Sent is the mixture of that and of their last δ, of
     `RUNGS`, that goes furthest and whose view of those whom the ego is expected to fuse is still similar, Eq. (5), to
-    the ego's last output by the floor, -1 … +1 being 0 … 1; or else the one that is most similar. So 0, the middle of
+    the ego's last output by the floor, +1 … -1 being 0 … 1; or else the one that is most similar. So 0, the middle of
     all nine, is an attack of full strength that keeps half of what was seen; strength, aim's width and persistence
     have their ends there, and the gate shuts below -0.5. Liars share the mean of their floors. Our choice: what
     `agents.in_loop` does by a rule, for learners.

@@ -20,7 +20,7 @@ def play(bank: SceneBank, floor: float, frames: int = 4) -> tuple[np.ndarray, np
     world = World(E, bank=bank, attackers=(1, 2), max_frames=frames + 1, defender="none")
     world.reset([0, 1])
     action_map, actions = make_action("quiet", 128, 32), np.zeros((E, K, 9), dtype=np.float32)
-    actions[..., 8] = 2 * floor - 1
+    actions[..., 8] = 1 - 2 * floor
     seen, again, damage, delta = [], [], 0.0, None
     everyone = [(e, frozenset(range(5))) for e in range(E)]
     for _ in range(frames):
@@ -50,7 +50,7 @@ def test_without_a_floor_it_is_the_guided_attack(bank: SceneBank) -> None:
     world.reset([0, 1])
     here = world.situation()
     quiet, guided = np.zeros((E, K, 9), dtype=np.float32), np.zeros((E, K, 8), dtype=np.float32)
-    quiet[..., 8] = -1
+    quiet[..., 8] = 1
     guided[..., [0, 5, 6]] = 1
     assert torch.equal(make_action("quiet", 128, 32)(quiet, here), make_action("guided", 128, 32)(guided, here))
     quiet[..., 7] = -1
