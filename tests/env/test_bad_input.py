@@ -22,7 +22,7 @@ Make = Callable[..., CollaborativePerceptionEnv]
     [
         ({"defender": "robosac!"}, "unknown defender 'robosac!'.*prbi"),
         ({"fusion": "median"}, "unknown fusion 'median': choose one of mean"),
-        ({"action": "raw"}, "unknown action map 'raw': choose one of guided, basis, full"),
+        ({"action": "raw"}, "unknown action map 'raw': choose one of guided, quiet, basis, full"),
         ({"observation": "pixels"}, "unknown observation 'pixels': choose one of features, compact"),
         ({"knowledge": "grey"}, "unknown knowledge 'grey': choose one of black-box, gray-box, white-box"),
         ({"reward": "fame"}, "unknown reward 'fame': choose one of damage, ap_drop, stealth"),

@@ -22,7 +22,7 @@ from cp_env.settings import Settings
         ({"budget": float("nan")}, r"finite"),
         ({"max_frames": 0}, r"max_frames"),
         ({"grace_frames": -1}, r"grace_frames"),
-        ({"action": "raw"}, r"unknown action map 'raw': choose one of guided, basis, full"),
+        ({"action": "raw"}, r"unknown action map 'raw': choose one of guided, quiet, basis, full"),
         ({"fusion": "sum?"}, r"unknown fusion 'sum\?'"),
         ({"observation": "x"}, r"unknown observation"),
         ({"knowledge": "x"}, r"black-box, gray-box, white-box"),
