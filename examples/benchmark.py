@@ -19,34 +19,25 @@ import torch
 import tyro
 from rich.console import Console
 
-from agents.arena import Bars, make_attacker, spread
+from agents.arena import Bars, Conditions, make_attacker
 from agents.arena.progress import duel
 from cp_env import evaluation
 from cp_env.evaluation.film import film
 from cp_env.evaluation.report import GLOSSARY
 from cp_env.rendering import Image3, write_gif
-from cp_env.scenes import open_source
 
 
 @dataclass(frozen=True)
-class Args:
+class Args(Conditions):
     """Defenders × attacks × liars on test scenes."""
 
-    scenes: str = "town/test"
-    n_scenes: int | None = None  # play so many of them, spread evenly (all by default)
-    frames: int = 100  # an episode's, five a second
     defenders: tuple[str, ...] = ("none", "ego_only", "prbi", "prbi:threshold=calibrated", "oracle")
     attackers: tuple[str, ...] = ("none", "pgd")
     ks: tuple[int, ...] = (1, 2, 3, 4)  # liars among `vehicles`
     seeds: tuple[int, ...] = (0,)
-    vehicles: int = 5
     fusion: str = "mean"  # or max, sum, v2vnet, disconet
-    weights: str | None = None  # a file of the detector's, such as `cp_env.detector.train` writes; else those that ship
     budget: float = 0.3  # Δ
-    protocol: str = "strict"  # how AP is counted: "strict" or "coperception"
-    batch: int = 4  # scenes in lock-step
     workers: int = 1  # processes
-    threads: int = 1  # torch threads of each
     out: Path = Path("out/benchmark")
     gif: bool = True  # also film one episode of the first scene
     small: bool = False  # three scenes, 30 frames, k = 2
@@ -59,16 +50,7 @@ class Args:
 def main(args: Args) -> None:
     console = Console()
     torch.set_num_threads(args.threads)
-    protocol = evaluation.Protocol(
-        args.scenes,
-        spread(open_source(args.scenes).names(), args.n_scenes),
-        args.frames,
-        args.vehicles,
-        args.budget,
-        fusion=args.fusion,
-        ap=args.protocol,
-        weights=args.weights,
-    )
+    protocol = args.on_scenes(budget=args.budget, fusion=args.fusion)
     cells = evaluation.plan(
         protocol,
         defenders=args.defenders,

@@ -7,7 +7,8 @@ The machinery (plan, play, figures, report) is `cp_env.evaluation`; here is who 
 
 from __future__ import annotations
 
+from agents.arena.conditions import Conditions
 from agents.arena.entries import make_attacker
-from agents.arena.progress import Bars, spread
+from agents.arena.progress import Bars
 
-__all__ = ["Bars", "make_attacker", "spread"]
+__all__ = ["Bars", "Conditions", "make_attacker"]

@@ -27,8 +27,9 @@ from rich.console import Console
 
 import agents
 import defenders
+from agents.arena.conditions import Conditions, spread
 from agents.arena.entries import make_attacker
-from agents.arena.progress import Bars, duel, spread
+from agents.arena.progress import Bars, duel
 from cp_env import evaluation
 from cp_env.evaluation.arena_report import pictures, write_html, write_markdown
 from cp_env.evaluation.boards import Axes, Board, turns_of
@@ -37,11 +38,10 @@ from cp_env.evaluation.film import shoot
 from cp_env.evaluation.findings import Findings, find, with_films, write_json
 from cp_env.evaluation.leaderboard import write_leaderboard
 from cp_env.evaluation.stage import open_defender
-from cp_env.scenes import open_source
 
 
 @dataclass(frozen=True)
-class Args:
+class Args(Conditions):
     """Every defender against every attacker. The first fusion, Δ and k are the base, where the ranking is made."""
 
     defenders: tuple[str, ...] = defenders.names()
@@ -53,18 +53,10 @@ class Args:
     design: str = "star"  # one axis at a time around the base, or "full": every combination
     side_scenes: int | None = None  # so many scenes away from the base (as many as there by default)
     side_attackers: tuple[str, ...] = ()  # those that play away from the base (all by default)
-    scenes: str = "town/test"
-    n_scenes: int | None = None  # play so many of them, spread evenly (all by default)
-    frames: int = 100  # an episode's, five a second
-    vehicles: int = 5
     norm: str = "linf"  # of Δ; or l2
     rsu: bool = False  # with the road-side unit's map
     grace_frames: int = 1  # honest frames at the start; with 0 the very first may be poisoned
-    weights: str | None = None  # a file of the detector's; by default those that ship
-    protocol: str = "strict"  # how AP is counted: "strict" or "coperception"
-    batch: int = 4  # scenes in lock-step
     workers: int = os.cpu_count() or 1  # processes
-    threads: int = 1  # torch threads of each
     ray: tuple[str, ...] | None = None  # on a Ray cluster instead of `workers`; its address, or none for the one here
     films: bool = True  # film each defender's worst episode
     out: Path = Path("out/arena")
@@ -119,17 +111,11 @@ def play(args: Args, command: str, console: Console) -> Findings:
 
 def plan(args: Args) -> list[Board]:
     """The boards of the run. ValueError for what cannot be played."""
-    protocol = evaluation.Protocol(
-        scenes=args.scenes,
-        names=spread(open_source(args.scenes).names(), args.n_scenes),
-        frames=args.frames,
-        n_vehicles=args.vehicles,
+    protocol = args.on_scenes(
         budget=args.budgets[0] if args.budgets else 0.0,
         norm=args.norm,
         rsu=args.rsu,
         grace_frames=args.grace_frames,
-        ap=args.protocol,
-        weights=args.weights,
     )
     axes = Axes(
         defenders=args.defenders,

@@ -1,8 +1,8 @@
-"""What the programs that play many cells share: which scenes, and bars on the screen."""
+"""Bars on the screen of the programs that play many cells."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from typing import TypeVar
 
 from rich.console import Console
@@ -11,14 +11,6 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from cp_env.evaluation import Cell
 
 T = TypeVar("T")
-
-
-def spread(names: Sequence[str], wanted: int | None) -> tuple[str, ...]:
-    """So many of the scenes, spread evenly over the list; all for None. ValueError for more than there are."""
-    wanted = len(names) if wanted is None else wanted
-    if not 1 <= wanted <= len(names):
-        raise ValueError(f"n_scenes must be 1 to {len(names)}, not {wanted}")
-    return tuple(names[i * len(names) // wanted] for i in range(wanted))
 
 
 class Bars(Progress):

@@ -50,7 +50,7 @@ def program(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     monkeypatch.setattr(sys, "argv", ["benchmark.py"])
     from examples import benchmark
 
-    monkeypatch.setattr(benchmark, "open_source", lambda _: SOURCE)
+    monkeypatch.setattr("agents.arena.conditions.open_source", lambda _: SOURCE)
     monkeypatch.setattr("cp_env.evaluation.cells.open_source", lambda _: SOURCE)
     monkeypatch.setattr(benchmark.evaluation, "open_bank", open_toy)
     monkeypatch.setattr(benchmark.evaluation, "Crew", lambda **knobs: Crew(**knobs, open_bank=open_toy))
