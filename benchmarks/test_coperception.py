@@ -25,7 +25,6 @@ Benchmark = Callable[..., Any]
 
 @pytest.fixture(scope="module")
 def bev() -> torch.Tensor:
-    torch.set_num_threads(1)
     return (torch.rand(AGENTS, 13, 256, 256, generator=torch.Generator().manual_seed(0)) < 0.02).to(torch.uint8)
 
 

@@ -18,7 +18,6 @@ Benchmark = Callable[..., Any]
 
 @pytest.fixture(scope="module")
 def detector() -> Detector:
-    torch.set_num_threads(1)
     return load_detector()
 
 

@@ -17,7 +17,6 @@ N, VIEWS = 5, 10
 @pytest.mark.parametrize("name", FUSIONS)
 def test_ten_views(benchmark: Callable[..., Any], name: str) -> None:
     """Fusion, decoding and boxes of ten groups of one world; two to three times a mean's are promised at most."""
-    torch.set_num_threads(1)
     detector = load_detector(name)
     generator = torch.Generator().manual_seed(1)
     poses = torch.zeros(1, N, 3)

@@ -36,7 +36,6 @@ class TwoGroups(Defender):
 
 @pytest.fixture(scope="module")
 def bank() -> SceneBank:
-    torch.set_num_threads(1)
     return SceneBank(ToySource(n_frames=12), load_detector(), progress=False)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,24 @@ pytestmark = pytest.mark.filterwarnings("default")
 Run = Callable[[str], dict[str, Any]]
 
 
+@pytest.fixture(scope="module")
+def node() -> Iterator[None]:
+    """Ray's node. It has 30 s to come up, whatever one sets: on a crowded machine it is tried again, twice."""
+    import ray
+
+    for left in (2, 1, 0):
+        try:
+            ray.init(num_cpus=1, include_dashboard=False, log_to_driver=False)
+            break
+        except Exception:  # Ray raises nothing more special
+            ray.shutdown()
+            if not left:
+                raise
+    yield
+    ray.shutdown()
+
+
+@pytest.mark.usefixtures("node")
 def test_the_page(sketched_page: Run) -> None:
     """One iteration: frames are sampled and the liars' shared policy moves."""
     names = sketched_page("docs/rllib.md")

@@ -1,0 +1,7 @@
+"""One torch thread for every benchmark, as a worker has."""
+
+from __future__ import annotations
+
+import torch
+
+torch.set_num_threads(1)
