@@ -134,10 +134,7 @@ class Guided(ActionMap):
 
     def __call__(self, actions: Float[np.ndarray, "E k *a"], situation: Situation) -> Float[Tensor, "E k C H W"]:
         guidance = Guidance.read(torch.from_numpy(actions).to(situation.received.device), situation.detector.extent)
-        shape = (*situation.attackers.shape, *situation.received.shape[2:])
-        start = situation.received.new_zeros(shape) if self._last is None else self._last
-        start[self._stale] = 0
-        self._stale = []
+        start = self._carried(situation)
         fires = (guidance.fires * situation.active[:, None])[..., None, None, None]
         radius = (guidance.strength * situation.budget)[..., None, None, None] * fires
         delta = _shrink(start * guidance.persistence[..., None, None, None], radius, situation.norm)
@@ -146,6 +143,14 @@ class Guided(ActionMap):
             delta = self._ascend(delta, radius, useful, guidance, situation)
         self._last = torch.where(fires > 0, delta, start)  # who pauses remembers its last lie
         return delta
+
+    def _carried(self, situation: Situation) -> Float[Tensor, "E k C H W"]:
+        """What every slot sent last, or 0 if its episode has just begun."""
+        if self._last is None:
+            self._last = situation.received.new_zeros((*situation.attackers.shape, *situation.received.shape[2:]))
+        self._last[self._stale] = 0
+        self._stale = []
+        return self._last
 
     def _ascend(
         self, delta: Tensor, radius: Tensor, useful: Tensor, guidance: Guidance, situation: Situation

@@ -40,23 +40,16 @@ class Quiet(Guided):
     def __call__(self, actions: Float[np.ndarray, "E k *a"], situation: Situation) -> Float[Tensor, "E k C H W"]:
         steering, floors = read(actions)
         device, floor = situation.received.device, torch.from_numpy(floors.mean(axis=1))
-        before = None if self._last is None else self._last.clone()
-        if before is not None:
-            before[self._stale] = 0
+        before = self._carried(situation)
         wanted = super().__call__(steering, situation)
-        if before is None:
-            before = torch.zeros_like(wanted)
-        before = before * (wanted.flatten(2).abs().amax(2) > 0)[..., None, None, None]  # who pauses sends nothing
-        rungs = [before + share * (wanted - before) for share in np.linspace(1, 0, RUNGS).tolist()]
-        groups = [frozenset(row.nonzero().flatten().tolist()) for row in situation.fused.cpu()]
-        pairs = list(enumerate(groups))
-        likeness = torch.from_numpy(
-            np.stack([alike(foresee(situation, delta, pairs), list(situation.output)) for delta in rungs])
-        )
+        fires = wanted.flatten(2).any(2)[..., None, None, None]
+        start = before * fires  # who pauses sends nothing
+        rungs = [start + share * (wanted - start) for share in np.linspace(1, 0, RUNGS).tolist()]
+        pairs = [(e, frozenset(row.nonzero().flatten().tolist())) for e, row in enumerate(situation.fused.cpu())]
+        found = [alike(foresee(situation, delta, pairs), list(situation.output)) for delta in rungs]
+        likeness = torch.from_numpy(np.stack(found))
         kept = likeness >= floor
         best = torch.where(kept.any(0), kept.float().argmax(0), likeness.argmax(0)).to(device)
         sent = torch.stack(rungs)[best, torch.arange(len(best), device=device)]
-        assert self._last is not None
-        fires = wanted.flatten(2).abs().amax(2)[..., None, None, None] > 0
-        self._last = torch.where(fires, sent, self._last)
+        self._last = torch.where(fires, sent, before)
         return sent

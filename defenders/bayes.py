@@ -69,15 +69,17 @@ class Bayes(Defender):
         self.certainty, self.turn, self.first = certainty, turn, first
         self.worthwhile, self.looks, self.max_queries = worthwhile, looks, looks + 1
         self.exact_to, self.particles = exact_to, particles
+        self.prepared = 0  # vehicles that there are tables for
 
     def configure(self, *, fusion: str) -> None:
-        self.likelihood = open_likelihood(self.named, fusion)
+        self.likelihood, self.prepared = open_likelihood(self.named, fusion), 0
 
     def reset(self, n_vehicles: int, rng: np.random.Generator) -> None:
         self.n, self.rng = n_vehicles, rng
-        self.tables = self.likelihood.tables(n_vehicles)
-        self.beside = {n_vehicles: BesideTable(self.likelihood, n_vehicles)}  # by how many are present
-        self.worth = worth_table(self.likelihood, n_vehicles)
+        if n_vehicles != self.prepared:
+            self.tables, self.worth = self.likelihood.tables(n_vehicles), worth_table(self.likelihood, n_vehicles)
+            self.beside: dict[int, BesideTable] = {}  # by how many are present
+            self.prepared = n_vehicles
         manners = self.likelihood.manners
         self.posterior = (
             Posterior(n_vehicles, turn=self.turn, manners=manners)

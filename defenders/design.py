@@ -11,15 +11,16 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from defenders.likelihood import BesideTable, Table
+from defenders.likelihood import BesideTable, Table, entropy
 from defenders.posterior import Posterior
 
 Group = Bool[np.ndarray, " n"]
 Groups = Bool[np.ndarray, "X n"]
 Others = Bool[np.ndarray, "Y n"]
-Outcomes = Float[np.ndarray, "X M B"]
+Rows = Int[np.ndarray, "X M"]
 MOST_EXACT = 6  # vehicles up to which every group is tried
 ROUNDS = 8  # of local search at most
+DIGITS = 9  # of a gain that count: groups that tell as much are equals on any machine
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,44 +75,36 @@ def outlook(posterior: Posterior, rng: np.random.Generator, size: int) -> Outloo
     return Outlook(liars * lying[0, :, None], liars * lying[1, :, None], manner, ~liars.any(1) & lying, weight)
 
 
-def outcomes(groups: Groups, reference: Reference, of: Outlook) -> Outcomes:
-    """Probability of each outcome, for each group compared with the reference under each hypothesis.
+def gains(groups: Groups, reference: Reference, of: Outlook) -> Float[np.ndarray, " X"]:
+    """Bits expected from each group alone, compared with the reference, and with the free view if that is aside.
 
-    With the free view aside an outcome is a pair of bins, of similarities that are independent given (L, b, a).
+    The two similarities are independent given (L, b, a), so what is not known of them once the hypothesis is, is the
+    sum of the entropies of two rows of the tables; only their joint mixture over the hypotheses has to be added up.
     """
-    found = compared(groups, reference, of)
+    table, rows = reference.table, compared(groups, reference, of)
+    found, rest = of.weight[:, None] * table.density[rows], table.entropy[rows]
     if reference.aside is None:
-        return found
-    other = compared_aside(groups, reference.aside, of)
-    return (found[..., :, None] * other[..., None, :]).reshape(*found.shape[:2], -1)
+        return entropy(found.sum(1)) - rest @ of.weight
+    beside, others = reference.aside.table, compared_aside(groups, reference.aside, of)
+    pairs = np.matmul(found.swapaxes(1, 2), beside.density[others])
+    return entropy(pairs, (1, 2)) - (rest + beside.entropy[others]) @ of.weight
 
 
-def compared(groups: Groups, reference: Reference, of: Outlook) -> Outcomes:
-    """Probability of each bin of the similarity to a reference."""
+def compared(groups: Groups, reference: Reference, of: Outlook) -> Rows:
+    """Which row of the reference's table each group belongs to under each hypothesis."""
     liars = (groups @ of.now.T - of.glitch[0]).astype(np.int64)
     its = (reference.group @ of.then.T - of.glitch[1]).astype(np.int64)
     sizes, shared = groups.sum(1)[:, None], (groups & reference.group).sum(1)[:, None]
-    rows = reference.table.rows(
+    return reference.table.rows(
         sizes, liars, int(reference.group.sum()), its[None], shared, of.manner[:1], of.manner[1:]
     )
-    return reference.table.density[rows]
 
 
-def compared_aside(groups: Groups, aside: Aside, of: Outlook) -> Outcomes:
-    """Probability of each bin of the similarity to the free view."""
+def compared_aside(groups: Groups, aside: Aside, of: Outlook) -> Rows:
+    """Which row of the free view's table each group belongs to under each hypothesis."""
     liars = (groups @ of.now.T).astype(np.int64)
     lying = (aside.present @ of.now.T - of.glitch[0]).astype(np.int64)
-    return aside.table.density[aside.table.rows(groups.sum(1)[:, None], liars, lying[None], of.manner[:1])]
-
-
-def entropy(p: np.ndarray, axis: int | tuple[int, ...] = -1) -> np.ndarray:
-    """In bits; 0 log 0 is 0."""
-    return -(p * np.log2(np.maximum(p, 1e-300))).sum(axis)
-
-
-def gains_of(found: Outcomes, weight: Float[np.ndarray, " M"]) -> Float[np.ndarray, " X"]:
-    """Bits expected from each group alone."""
-    return entropy(weight @ found) - entropy(found) @ weight
+    return aside.table.rows(groups.sum(1)[:, None], liars, lying[None], of.manner[:1])
 
 
 def best_reference(group: Group, references: list[Reference], of: Outlook) -> Reference:
@@ -167,9 +160,9 @@ def unseen(groups: Groups, seen: Others) -> Bool[np.ndarray, "Z n"]:
 
 def pick(groups: Groups, reference: Reference, of: Outlook) -> Look:
     """The best of the groups."""
-    gains = gains_of(outcomes(groups, reference, of), of.weight)
-    best = int(gains.argmax())
-    return Look(groups[best], reference, float(gains[best]))
+    found = gains(groups, reference, of).round(DIGITS)
+    best = int(found.argmax())
+    return Look(groups[best], reference, float(found[best]))
 
 
 def safest(

@@ -108,6 +108,7 @@ class Table:
         for manner, its, size, other in product(of_lies, of_lies, one_of_most, one_of_most):
             self._both[manner, its, size, other] = self._add(likelihood.both(size, other, manner, its))
         self.density: Float[np.ndarray, "R B"] = np.array(self._rows)
+        self.entropy = entropy(self.density)
 
     def _add(self, row: Row) -> int:
         if (key := row.tobytes()) not in self._known:
@@ -156,6 +157,7 @@ class BesideTable:
             self._glitch[manner, size] = len(rows)
             rows.append(np.mean(rows[first:], axis=0))
         self.density: Float[np.ndarray, "R B"] = np.array(rows)
+        self.entropy = entropy(self.density)
 
     def rows(self, size: int | Counts, liars: Counts, lying: Counts, manner: int | Counts = 1) -> Counts:
         """Rows of `density`; -1 lying stand for a glitch."""
@@ -198,6 +200,12 @@ class Verifier(Likelihood):
 
     def worth(self, size: int, liars: int, manner: int = 1) -> float:
         return 0.0 if liars else 1 - 0.5 / size
+
+
+def entropy(p: np.ndarray, axis: int | tuple[int, ...] = -1) -> np.ndarray:
+    """In bits; 0 log 0 is 0."""
+    bits: np.ndarray = -(p * np.log2(np.maximum(p, 1e-300))).sum(axis)
+    return bits
 
 
 def overlaps(n: int) -> list[tuple[int, int, int]]:
