@@ -16,7 +16,7 @@ from defenders.protocol import Defender, Frame, Inspection, Query, Verdict, View
 
 Members = Bool[np.ndarray, " n"]
 PATIENCE = 0.95  # new references as good as the old ones but for this are preferred
-ALARM = 0.1  # probability of lies below which no look is thought of
+ALARM = 0.02  # probability of lies below which no look is thought of
 
 
 class Bayes(Defender):
@@ -40,7 +40,7 @@ class Bayes(Defender):
         certainty: float = 0.99,
         turn: float = 1e-3,
         first: float = 1e-4,
-        worthwhile: float = 0.03,
+        worthwhile: float = 0.02,
         looks: int = 2,
         exact_to: int = 15,
         particles: int = 1024,
@@ -159,7 +159,7 @@ class Bayes(Defender):
         best = max(clean.values())
         renew = best * self.likelihood.power(1) >= PATIENCE * old * self.likelihood.power(self.age + 1)
         start = STARTS / self.likelihood.manners
-        self.lying = start + (STAYS - start) * self.posterior.lies()
+        self.lying = start + (STAYS[: self.likelihood.manners] - start) * self.posterior.lies()
         self.posterior.advance(renew)
         if renew:
             self.references = {group: view for group, view in views.items() if clean[group] >= best / 2}

@@ -19,6 +19,8 @@ from itertools import product
 import numpy as np
 from jaxtyping import Float, Int
 
+ODD = 0.1  # of a glitch's density beside the free view, the share in which its views do not even resemble each other
+
 Row = Float[np.ndarray, " B"]
 Counts = Int[np.ndarray, "..."]
 
@@ -155,7 +157,7 @@ class BesideTable:
                     self._row[manner, size, liars, lying] = len(rows)
                     rows.append(likelihood.beside(size, liars, everyone, lying, manner))
             self._glitch[manner, size] = len(rows)
-            rows.append(np.mean(rows[first:], axis=0))
+            rows.append((1 - ODD) * rows[first] + ODD * np.mean(rows[first:], axis=0))
         self.density: Float[np.ndarray, "R B"] = np.array(rows)
         self.entropy = entropy(self.density)
 

@@ -26,7 +26,8 @@ from jaxtyping import Bool, Float
 from defenders.likelihood import BesideTable, Table
 
 GLITCH = np.array([0.05, 4.0])  # g_a, by manner: streets in which honest views agree little are not rare
-STARTS, STAYS = 0.02, 0.7  # Σ q after a pause, and q of a manner after a frame with such lies
+STARTS = 0.02  # Σ q after a pause
+STAYS = np.array([0.7, 0.85])  # q of a manner after a frame with such lies: to stop resembling the last shows
 
 Sets = Bool[np.ndarray, "S n"]
 Density = Float[np.ndarray, "S A"]
