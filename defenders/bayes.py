@@ -16,7 +16,7 @@ from defenders.protocol import Defender, Frame, Inspection, Query, Verdict, View
 
 Members = Bool[np.ndarray, " n"]
 PATIENCE = 0.95  # new references as good as the old ones but for this are preferred
-ALARM = 0.02  # probability of lies below which no look is thought of
+ALARM = 0.05  # probability of lies below which no look is thought of
 
 
 class Bayes(Defender):

@@ -19,7 +19,7 @@ from itertools import product
 import numpy as np
 from jaxtyping import Float, Int
 
-ODD = 0.1  # of a glitch's density beside the free view, the share in which its views do not even resemble each other
+ODD = 0.3  # of a glitch's density beside the free view, the share in which its views do not even resemble each other
 
 Row = Float[np.ndarray, " B"]
 Counts = Int[np.ndarray, "..."]
