@@ -18,6 +18,9 @@ from agents.steepest import Search, Steepest, better
 from agents.views import Audience, Goal, Views, attack_loss, make_audience, survey
 from cp_env.world import Situation
 
+TOGETHER = {"cpu": 8}
+"""Worlds whose liars search in one batch, by kind of device: more maps than caches hold are slower, not faster."""
+
 Cells = Callable[[Situation], Shaped[Tensor, "E k H W"]]
 """The cells of each liar's own map (its grid frame) that it may touch: True or 1, else False or 0."""
 
@@ -63,16 +66,22 @@ class Ascent:
         """See `Attacker.act`. Raises ValueError for an audience, an allowance or cells that cannot be used."""
         delta = silence(situation)
         views = survey(situation, self._audience, due(situation, self._schedule), joint=self.joint)
-        if len(views.world):
-            domain = self._domain(views)
-            loss = attack_loss(views, self._goal)
-            from_zero = int(self.random_start)  # the number of the start that is no random one
-            starts = (self._start(views, delta, random=i != from_zero) for i in range(self.restarts))
-            best, best_value = self.search(loss, next(starts), domain)
-            for start in starts:
-                best, best_value = better(best, best_value, *self.search(loss, start, domain))
-            delta[views.world[:, None], views.slots] = best
+        worlds = views.world.unique()
+        for together in worlds.split(TOGETHER.get(delta.device.type, len(worlds))) if len(worlds) else ():
+            part = views.of(together)
+            delta[part.world[:, None], part.slots] = self._found(part, delta)
         return delta
+
+    def _found(self, views: Views, zero: Float[Tensor, "E k C H W"]) -> Float[Tensor, "T m C H W"]:
+        """The best δ of all restarts."""
+        domain = self._domain(views)
+        loss = attack_loss(views, self._goal)
+        from_zero = int(self.random_start)  # the number of the start that is no random one
+        starts = (self._start(views, zero, random=i != from_zero) for i in range(self.restarts))
+        best, best_value = self.search(loss, next(starts), domain)
+        for start in starts:
+            best, best_value = better(best, best_value, *self.search(loss, start, domain))
+        return best
 
     def _domain(self, views: Views) -> Domain:
         """Where the teams' δ may lie."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import torch
@@ -55,6 +55,20 @@ class Views:
     def liars(self) -> Int[Tensor, "T m"]:
         """Their numbers among the vehicles."""
         return self.situation.attackers[self.world].gather(1, self.slots)
+
+    def of(self, worlds: Int[Tensor, " W"]) -> Views:
+        """The teams of these worlds, and what they attack."""
+        mine = torch.isin(self.world, worlds)
+        seen = mine[self.team]
+        return replace(
+            self,
+            world=self.world[mine],
+            slots=self.slots[mine],
+            reach=self.reach[mine],
+            team=(mine.cumsum(0) - 1)[self.team[seen]],
+            groups=self.groups[seen],
+            weight=self.weight[seen],
+        )
 
     def perceive(self) -> Callable[[Float[Tensor, "T m C H W"]], Dense]:
         """What the ego sees in each view, as a function of the teams' δ; differentiable."""
