@@ -3,11 +3,11 @@
 A hypothesis is a set L of liars. The number of liars is uniform on 0 … n - 1 and the set is uniform given its number.
 In each frame the liars are at work, all of them and in one manner (a = 1, 2, …), with probability q_a, or pause
 (a = 0); and so it was in the frame the reference comes from (b). Lies are likelier after lies of their manner: q_a is
-between STARTS and STAYS (of which all manners have an equal share), by the probability that the frame before held such
-lies. If nobody lies, a > 0 is a glitch, in which lies seem to show whoever is in a view: as rare as g_a says, and
-without a share given back to a = 0, so that a frame in which nothing shows says nothing about L: who pauses is not
-acquitted. In a frame with lies, L is drawn anew with probability φ: somebody may start to lie, and no verdict is for
-ever. Liars who have just started were honest in the reference.
+between its equal share of STARTS and its own STAYS, by the probability that the frame before held such lies. If nobody
+lies, a > 0 is a glitch, in which lies seem to show whoever is in a view (beside the free view of the frame they seldom
+do: `likelihood.ODD`): as rare as g_a says, and without a share given back to a = 0, so that a frame in which nothing
+shows says nothing about L: who pauses is not acquitted. In a frame with lies, L is drawn anew with probability φ:
+somebody may start to lie, and no verdict is for ever. Liars who have just started were honest in the reference.
 
     p(L, b, a = 0) ∝ (1 - Σ q_a) p(L, b)
     p(L, b, a > 0) ∝ q_a ((1 - φ) p(L, b) + φ p₀(L) [b = 0]) (g_a if L = ∅ else 1)
