@@ -66,15 +66,16 @@ class Ascent:
         """See `Attacker.act`. Raises ValueError for an audience, an allowance or cells that cannot be used."""
         delta = silence(situation)
         views = survey(situation, self._audience, due(situation, self._schedule), joint=self.joint)
-        worlds = views.world.unique()
-        for together in worlds.split(TOGETHER.get(delta.device.type, len(worlds))) if len(worlds) else ():
-            part = views.of(together)
-            delta[part.world[:, None], part.slots] = self._found(part, delta)
+        if len(views.world):
+            domain, worlds = self._domain(views), views.world.unique()
+            for together in worlds.split(TOGETHER.get(delta.device.type, len(worlds))):
+                mine = torch.isin(views.world, together)
+                part = views.of(mine)
+                delta[part.world[:, None], part.slots] = self._found(part, domain.of(mine), delta)
         return delta
 
-    def _found(self, views: Views, zero: Float[Tensor, "E k C H W"]) -> Float[Tensor, "T m C H W"]:
+    def _found(self, views: Views, domain: Domain, zero: Float[Tensor, "E k C H W"]) -> Float[Tensor, "T m C H W"]:
         """The best δ of all restarts."""
-        domain = self._domain(views)
         loss = attack_loss(views, self._goal)
         from_zero = int(self.random_start)  # the number of the start that is no random one
         starts = (self._start(views, zero, random=i != from_zero) for i in range(self.restarts))

@@ -5,12 +5,12 @@ One δ is one liar's feature map (C, H, W); leading axes are independent balls.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from cp_env import channel
@@ -81,6 +81,11 @@ class Domain:
     budget: float  # Δ
     share: float | Float[Tensor, "T 1 1 1 1"] = 1.0  # of Δ, 0 to 1; one for all teams, or one for each
     cells: Float[Tensor, "T m 1 H W"] | None = None  # 1 or 0; all by default
+
+    def of(self, mine: Bool[Tensor, " T"]) -> Domain:
+        """That of those teams."""
+        share = self.share[mine] if isinstance(self.share, Tensor) else self.share
+        return replace(self, share=share, cells=None if self.cells is None else self.cells[mine])
 
     @property
     def radius(self) -> float | Float[Tensor, "T 1 1 1 1"]:

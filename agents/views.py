@@ -56,9 +56,8 @@ class Views:
         """Their numbers among the vehicles."""
         return self.situation.attackers[self.world].gather(1, self.slots)
 
-    def of(self, worlds: Int[Tensor, " W"]) -> Views:
-        """The teams of these worlds, and what they attack."""
-        mine = torch.isin(self.world, worlds)
+    def of(self, mine: Bool[Tensor, " T"]) -> Views:
+        """Those of the teams, and what they attack."""
         seen = mine[self.team]
         return replace(
             self,
