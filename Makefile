@@ -36,14 +36,14 @@ bench: $(READY) ## speed, on one torch thread
 
 attacks: $(READY) ## our PGD and BIM beside a public library's: the same loss, and the speed of both
 	$(PIP) install --quiet -c constraints.txt -e '.[attacks-check]'
-	$(BIN)/python -m pytest tests/agents/test_foolbox.py $(PYTEST_ARGS)
+	$(BIN)/python -m pytest tests/external/test_foolbox.py $(PYTEST_ARGS)
 	$(BIN)/python -m pytest -s benchmarks/test_attacks.py -k foolbox
 
 devkit: $(READY) ## load exported scenes in the nuScenes devkit, in an environment of its own (numpy < 2), and compare
 	test -x $(DEVKIT)/bin/python || $(PYTHON) -m venv $(DEVKIT)
 	$(DEVKIT)/bin/python -m pip install --disable-pip-version-check --quiet 'numpy<2' nuscenes-devkit==1.2.0
-	$(BIN)/python -m tests.devkit.expected out/devkit
-	$(DEVKIT)/bin/python tests/devkit/compare.py out/devkit
+	$(BIN)/python -m tests.external.devkit.expected out/devkit
+	$(DEVKIT)/bin/python tests/external/devkit/compare.py out/devkit
 
 docs: ## the site, in out/site/, strict: no broken link, no page outside the menu; in an environment of its own
 	test -x .venv-docs/bin/python || $(PYTHON) -m venv .venv-docs
@@ -52,11 +52,11 @@ docs: ## the site, in out/site/, strict: no broken link, no page outside the men
 
 libraries: $(LIBRARIES:%=library-%) ## train with other people's libraries, each in an environment of its own
 
-$(LIBRARIES:%=library-%): library-%: tests/libraries/%.txt ## one of them
+$(LIBRARIES:%=library-%): library-%: tests/external/%.txt ## one of them
 	test -x .venv-$*/bin/python || $(PYTHON) -m venv .venv-$*
 	$(ALONE) --no-deps $(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX)) $(TORCH)
-	$(ALONE) -r tests/libraries/$*.txt -e .
-	.venv-$*/bin/python -m pytest -W default tests/libraries/test_$*.py
+	$(ALONE) -r tests/external/$*.txt -e .
+	.venv-$*/bin/python -m pytest -W default tests/external/test_$*.py
 
 ray: $(READY) ## Ray, about 260 MB, to play the arena on a cluster: its tests are skipped without it
 	$(PIP) install --quiet -c constraints.txt -e '.[ray]'
@@ -68,7 +68,7 @@ sumo: $(READY) ## the traffic simulator, about 260 MB: its tests are skipped wit
 	$(PIP) install --quiet -c constraints.txt -e '.[sumo]'
 
 record: sumo ## record the town's traffic anew, in out/recordings
-	$(BIN)/python -m cp_env.scenes.record --out out/recordings --jobs $(WORKERS)
+	$(BIN)/python -m cp_env.scenes.sumo.record --out out/recordings --jobs $(WORKERS)
 
 clean: ## forget the virtual environments
 	rm -rf .venv $(DEVKIT) .venv-docs $(LIBRARIES:%=.venv-%)

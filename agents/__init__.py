@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 def _ascent(search: type, preset: dict[str, Any], knobs: dict[str, Any]) -> Attacker:
     """An `Ascent` by that search; a knob belongs to whichever of the two has a field of its name."""
-    from agents.ascent import Ascent
+    from agents.attacks.gradient import Ascent
 
     of_search = [field.name for field in fields(search)]
     known = [*of_search, *(field.name for field in fields(Ascent) if field.init and field.name != "search")]
@@ -30,25 +30,25 @@ def _ascent(search: type, preset: dict[str, Any], knobs: dict[str, Any]) -> Atta
 
 
 def _pgd(**knobs: Any) -> Attacker:
-    from agents.steepest import Steepest
+    from agents.attacks.pgd import Steepest
 
     return _ascent(Steepest, {}, knobs)
 
 
 def _bim(**knobs: Any) -> Attacker:
-    from agents.steepest import Steepest
+    from agents.attacks.pgd import Steepest
 
     return _ascent(Steepest, {"random_start": False}, knobs)
 
 
 def _mi_fgsm(**knobs: Any) -> Attacker:
-    from agents.steepest import Steepest
+    from agents.attacks.pgd import Steepest
 
     return _ascent(Steepest, {"random_start": False, "momentum": 1.0}, knobs)
 
 
 def _cw(**knobs: Any) -> Attacker:
-    from agents.carlini_wagner import CarliniWagner
+    from agents.attacks.carlini_wagner import CarliniWagner
 
     return _ascent(CarliniWagner, {"random_start": False}, knobs)
 
@@ -56,20 +56,20 @@ def _cw(**knobs: Any) -> Attacker:
 TIMETABLE = ("every", "start", "duty")
 
 _ATTACKERS: dict[str, Callable[..., Attacker] | str] = {
-    "none": "agents.noise.Silence",
-    "noise": "agents.noise.Noise",
-    "random": "agents.chance.Chance",
+    "none": "agents.attacks.noise.Silence",
+    "noise": "agents.attacks.noise.Noise",
+    "random": "agents.attacks.random_action.Chance",
     "pgd": _pgd,
     "bim": _bim,
     "mi_fgsm": _mi_fgsm,
     "cw": _cw,
-    "eot": "agents.eot.Eot",
-    "in_loop": "agents.in_loop.InLoop",
-    "ramp": "agents.ramp.ramp",
-    "poison": "agents.poison.poison",
-    "framing": "agents.framing.Framing",
-    "blind": "agents.blind.blind",
-    "sacrifice": "agents.sacrifice.sacrifice",
+    "eot": "agents.attacks.adaptive.eot.Eot",
+    "in_loop": "agents.attacks.adaptive.threshold_aware.InLoop",
+    "ramp": "agents.attacks.adaptive.ramp.ramp",
+    "poison": "agents.attacks.adaptive.poison.poison",
+    "framing": "agents.attacks.adaptive.framing.Framing",
+    "blind": "agents.attacks.adaptive.blind_area.blind",
+    "sacrifice": "agents.attacks.adaptive.sacrifice.sacrifice",
 }
 """Makers, or where they are: an attacker's file is read when it is asked for."""
 
@@ -84,7 +84,7 @@ def make(attacker: str | Attacker, **knobs: Any) -> Attacker:
 
     A name is one of `names()`, or says where to import a class or function of yours: "module:Class", or
     "package.module.Class". Any attacker takes a timetable besides its own knobs: `every`, `start` and `duty`, see
-    `agents.timing`.
+    `agents.attacks.timed`.
 
     Raises ValueError for an unknown name, for knobs the attacker has not, and for knobs beside an object.
     """
@@ -102,7 +102,7 @@ def make(attacker: str | Attacker, **knobs: Any) -> Attacker:
 def _timed(attacker: Attacker, timetable: dict[str, Any]) -> Attacker:
     if not timetable:
         return attacker
-    from agents.timing import Timed
+    from agents.attacks.timed import Timed
 
     return Timed(attacker, **timetable)
 

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from torch import Tensor
 
-from cp_env.world import Situation
+from cp_env.world.situation import Situation
 
 Streams = np.random.Generator | Sequence[np.random.Generator]
 

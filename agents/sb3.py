@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
 
-from cp_env.game import Game, Infos
-from cp_env.joint import join, joint_space
+from cp_env.envs.core import Game, Infos
+from cp_env.envs.joint import join, joint_space
 from defenders.protocol import Defender
 
 RENDER_MODES = (None, "rgb_array")

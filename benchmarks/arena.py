@@ -19,7 +19,7 @@ import tyro
 
 from agents.arena import make_attacker
 from cp_env.evaluation import Crew, Protocol, Store, plan, prepare, run
-from tests.toy import ToySource
+from tests.helpers.toy_scenes import ToySource
 
 ATTACK = "pgd:audience=fused"
 

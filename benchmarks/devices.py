@@ -25,11 +25,11 @@ from rich.console import Console
 from rich.table import Table
 
 import agents
-from cp_env.bank import SceneBank
 from cp_env.detector import load_detector
 from cp_env.scenes import open_source
 from cp_env.scenes.clip import Clip
-from cp_env.world import World
+from cp_env.world.scene_cache import SceneBank
+from cp_env.world.world import World
 
 SCENES = 2
 FRAMES = 2  # of a scene: one of grace, one that is attacked

@@ -20,10 +20,10 @@ import tyro
 from stable_baselines3.common.vec_env import VecEnv
 
 import cp_env
-from agents.ppo import make_ppo
+from agents.learning.ppo import make_ppo
 from agents.sb3 import make_vec_env
-from agents.scenes import Some
-from tests.toy import ToySource
+from cp_env.scenes.subset import Some
+from tests.helpers.toy_scenes import ToySource
 
 SCENE = Some(ToySource(n_frames=12), 1)
 LIARS = 2

@@ -12,10 +12,11 @@ import torch
 from pytest_benchmark.fixture import BenchmarkFixture
 
 import agents
-from agents.objective import Objective
+from agents.attacks.objectives.untargeted import Objective
+from agents.attacks.targets import attack_loss, everyone, survey
 from agents.sb3 import AdversaryVecEnv, make_vec_env
-from agents.views import attack_loss, everyone, survey
-from cp_env.world import Situation, World
+from cp_env.world.situation import Situation
+from cp_env.world.world import World
 
 STEPS = 15
 
@@ -88,7 +89,7 @@ def test_pgd_costs_little_more_than_its_forward_and_backward_passes(fusion: str,
 def test_pgd_beside_foolbox() -> None:
     """The same fifteen steps from the same start on the same network, by Foolbox's loop (see `make attacks`)."""
     pytest.importorskip("foolbox", reason="pip install -e '.[attacks-check]'")
-    from tests.agents.foolbox_twin import foolbox_attack
+    from tests.external.foolbox_twin import foolbox_attack
 
     def theirs(here: Situation) -> None:
         loss = attack_loss(survey(here, everyone, here.active, joint=True), Objective())

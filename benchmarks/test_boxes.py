@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cp_env.boxes import nms_batch, rotated_iou
-from cp_env.metrics import ApMeter, resampled_ap
-from cp_env.similarity import agreement, jaccard_many, view_similarity
+from cp_env.geometry.boxes import nms_batch, rotated_iou
+from cp_env.metrics.average_precision import ApMeter, resampled_ap
+from cp_env.metrics.similarity import agreement, jaccard_many, view_similarity
 from cp_env.types import Detections, View
 
 Benchmark = Callable[..., Any]

@@ -9,8 +9,8 @@ import pytest
 import torch
 
 from cp_env.detector import Detector, load_detector
-from cp_env.detector.bev import BEV, rasterise
-from tests.toy import ToySource
+from cp_env.detector.model.bev import BEV, rasterise
+from tests.helpers.toy_scenes import ToySource
 
 N = 5
 Benchmark = Callable[..., Any]

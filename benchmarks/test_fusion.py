@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from cp_env.detector import load_detector
-from cp_env.detector.fusion import FUSIONS
+from cp_env.detector.model.fusion import FUSIONS
 
 N, VIEWS = 5, 10
 

@@ -8,7 +8,7 @@ import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
 from cp_env import lidar
-from cp_env.detector import bev
+from cp_env.detector.model import bev
 from cp_env.scenes import open_source
 from cp_env.types import Scene
 

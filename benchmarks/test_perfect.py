@@ -11,8 +11,8 @@ import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
 import defenders
-from defenders.perfect import Terms
-from defenders.tally import Tally, play_many
+from defenders.simulation.statistics import Tally, play_many
+from defenders.simulation.world import Terms
 
 EPISODES = {"bayes": 5}  # a round, where not 200
 LEAST = {"bayes": 20}  # episodes a second, where not 200: far below what any machine of today does

@@ -14,11 +14,12 @@ import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
 from cp_env import lidar
-from cp_env.scenes import Town, open_source, opv2v_writer
+from cp_env.scenes import Town, open_source
 from cp_env.scenes.clip import Clip
 from cp_env.scenes.export import export
+from cp_env.scenes.opv2v import writer
 from cp_env.types import Scene, SceneSource, Sweep
-from tests.reference.coperception_files import write_files
+from tests.helpers.coperception_files import write_files
 
 pytestmark = pytest.mark.benchmark(timer=time.process_time)
 FRAMES = 4
@@ -48,7 +49,7 @@ def spec(
     if layout == "v2x-sim-det":
         write_files(source, root, "test", {name: 5})
     elif layout == "opv2v-ascii":
-        opv2v_writer.write(source, [name], root, data="ascii")
+        writer.write(source, [name], root, data="ascii")
     else:
         export(source, root, layout=layout, names=[name])
     return f"{layout.removesuffix('-ascii')}:{root}"

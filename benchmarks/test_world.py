@@ -11,11 +11,11 @@ import pytest
 import torch
 from pytest_benchmark.fixture import BenchmarkFixture
 
-from cp_env.bank import SceneBank
 from cp_env.detector import load_detector
-from cp_env.world import World
+from cp_env.world.scene_cache import SceneBank
+from cp_env.world.world import World
 from defenders.protocol import Defender, Frame, Inspection, Query, Verdict
-from tests.toy import ToySource
+from tests.helpers.toy_scenes import ToySource
 
 
 class TwoGroups(Defender):

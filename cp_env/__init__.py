@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     from pettingzoo import AECEnv
 
     from cp_env.detector.protocol import DetectorLike
-    from cp_env.parallel import CollaborativePerceptionEnv
+    from cp_env.envs.parallel import CollaborativePerceptionEnv
+    from cp_env.envs.vector import JointAdversaryVectorEnv
     from cp_env.types import SceneSource
-    from cp_env.vector import JointAdversaryVectorEnv
     from defenders.protocol import Defender
 
 __version__ = "0.1.0"
@@ -96,7 +96,7 @@ def parallel_env(
     Raises:
         ValueError: an unknown name (the message lists the known ones), or a number outside its range.
     """
-    from cp_env.parallel import CollaborativePerceptionEnv
+    from cp_env.envs.parallel import CollaborativePerceptionEnv
 
     return CollaborativePerceptionEnv(
         defender,
@@ -137,7 +137,7 @@ def vector_env(
     Knobs as in `parallel_env`, but for `slots`, which has no meaning here, and `observation`, which is "compact" unless
     said otherwise; `autoreset_mode` as in `JointAdversaryVectorEnv`.
     """
-    from cp_env.vector import JointAdversaryVectorEnv
+    from cp_env.envs.vector import JointAdversaryVectorEnv
 
     return JointAdversaryVectorEnv(num_envs, defender, **knobs)
 

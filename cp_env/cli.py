@@ -94,19 +94,20 @@ def scenes_preview(
     """
     from rich.console import Console
 
-    from cp_env.scenes import open_source, preview
-    from cp_env.scenes.preview_tables import tables
+    from cp_env.scenes import open_source
+    from cp_env.scenes.preview import film
+    from cp_env.scenes.preview.tables import tables
 
     if every < 1:
         raise ValueError(f"every must be at least 1, got {every}")
-    source = open_source(_named(preview.spec_of(path), skip_broken))
+    source = open_source(_named(film.spec_of(path), skip_broken))
     name = source.names()[0] if scene is None else scene
     loaded = source.load(name)
     chosen = list(range(0, min(loaded.n_frames, frames or loaded.n_frames), every))
-    found = preview.figures(source, name, chosen)
+    found = film.figures(source, name, chosen)
     for table in tables(found, vehicles):
         Console().print(table)
-    preview.write_gif(preview.film(source, name, chosen, extent=extent), out, seconds=every * loaded.dt)
+    film.write_gif(film.film(source, name, chosen, extent=extent), out, seconds=every * loaded.dt)
     Console().print(f"{out}: {len(chosen)} frames of {name}", soft_wrap=True)
 
 
@@ -143,7 +144,7 @@ def play(
     from rich.progress import track
 
     from cp_env import parallel_env
-    from cp_env.rendering import write_gif
+    from cp_env.rendering.frame import write_gif
 
     env = parallel_env(
         defender,

@@ -16,7 +16,7 @@ import pettingzoo
 if TYPE_CHECKING:
     from pettingzoo import AECEnv
 
-    from cp_env.parallel import CollaborativePerceptionEnv
+    from cp_env.envs.parallel import CollaborativePerceptionEnv
 
 ENV_ID = "cp_env/CollaborativePerception-v0"
 
@@ -26,8 +26,8 @@ def register_ids() -> None:
     if ENV_ID not in gymnasium.registry:
         gymnasium.register(
             ENV_ID,
-            entry_point="cp_env.gym:JointAdversaryEnv",
-            vector_entry_point="cp_env.vector:JointAdversaryVectorEnv",
+            entry_point="cp_env.envs.single:JointAdversaryEnv",
+            vector_entry_point="cp_env.envs.vector:JointAdversaryVectorEnv",
         )
     if hasattr(pettingzoo, "register"):
         if ENV_ID not in pettingzoo.parallel_registry:

@@ -11,12 +11,12 @@ from collections.abc import Callable
 from importlib import import_module
 from typing import Any
 
-from defenders.bayes import Bayes
-from defenders.bounds import EgoOnly, NoDefence, Oracle
+from defenders.baselines import EgoOnly, NoDefence, Oracle
+from defenders.bayes.defender import Bayes
 from defenders.pasac import Pasac
-from defenders.prbi import Prbi
+from defenders.prbi.defender import Prbi
+from defenders.prbi.interpretation import Reading
 from defenders.protocol import Defender, Frame, Inspection, Query, QueryError, Verdict, View
-from defenders.readings import Reading
 from defenders.robosac import Robosac
 
 __all__ = [

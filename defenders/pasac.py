@@ -6,9 +6,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from defenders.checks import check_choice
 from defenders.protocol import Defender, Frame, Inspection, Query, Verdict, View
-from defenders.readings import check_choice
-from defenders.thresholds import EGO_ONLY, open_thresholds
+from defenders.thresholds.tables import EGO_ONLY, open_thresholds
 
 Group = frozenset[int]
 PAPER = {"agreement": 0.08, "similarity": 0.3}  # CP-Guard's consistency of segmentation maps, CP-uniGuard's Jaccard

@@ -7,9 +7,9 @@ from collections.abc import Generator, Mapping, Sequence
 
 import numpy as np
 
+from defenders.checks import check_choice
 from defenders.protocol import Defender, Frame, Inspection, Query, Verdict, View
-from defenders.readings import check_choice
-from defenders.thresholds import EGO_ONLY, open_thresholds
+from defenders.thresholds.tables import EGO_ONLY, open_thresholds
 
 Group = frozenset[int]
 Search = Generator[Query, list[View], Group]

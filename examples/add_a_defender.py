@@ -15,7 +15,7 @@ import numpy as np
 import tyro
 
 from defenders import Defender, Frame, Inspection, Query, Verdict
-from defenders.perfect import play
+from defenders.simulation.world import play
 
 
 class OneByOne(Defender):

@@ -22,9 +22,9 @@ from rich.console import Console
 from agents.arena import Bars, Conditions, make_attacker
 from agents.arena.progress import duel
 from cp_env import evaluation
-from cp_env.evaluation.film import film
-from cp_env.evaluation.report import GLOSSARY
-from cp_env.rendering import Image3, write_gif
+from cp_env.evaluation.report.benchmark import GLOSSARY
+from cp_env.evaluation.report.video import film
+from cp_env.rendering.frame import Image3, write_gif
 
 
 @dataclass(frozen=True)

@@ -22,8 +22,8 @@ from torch.nn import functional
 import agents
 import cp_env
 from cp_env.detector import Dense
-from cp_env.detector.bev import BEV, rasterise
-from cp_env.detector.protocol import BaseDetector
+from cp_env.detector.model.base import BaseDetector
+from cp_env.detector.model.bev import BEV, rasterise
 from cp_env.testing import check_detector
 from cp_env.types import Sweep
 
@@ -90,7 +90,7 @@ class Toy(BaseDetector):
 
 def damage(detector: Toy, attack: agents.Attacker, args: Args) -> float:
     """Mean damage that two liars of five do to an ego that fuses everyone."""
-    world = cp_env.world.World(
+    world = cp_env.world.world.World(
         1, defender="none", detector=detector, scenes=args.scene, max_frames=args.frames, budget=args.budget
     )
     world.reset([args.seed])

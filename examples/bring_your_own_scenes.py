@@ -20,8 +20,9 @@ import numpy as np
 import tyro
 
 import cp_env
-from cp_env.scenes import open_source, preview
-from cp_env.scenes.hits import count_returns, standing
+from cp_env.lidar.returns import count_returns, standing
+from cp_env.scenes import open_source
+from cp_env.scenes.preview import film
 from cp_env.testing import check_scenes
 from cp_env.types import Scene, Sweep
 
@@ -97,7 +98,7 @@ def main(args: Args) -> None:
     print(f"{len(check_scenes(source))} laws kept")
     name = source.names()[0]
     frames = range(min(source.load(name).n_frames, args.frames))
-    preview.write_gif(preview.film(source, name, frames), args.out / "preview.gif", seconds=0.2)
+    film.write_gif(film.film(source, name, frames), args.out / "preview.gif", seconds=0.2)
     print(f"{args.out / 'preview.gif'}: {len(frames)} frames of {name}")
     env = cp_env.parallel_env(scenes=source, n_vehicles=args.n_vehicles, n_attackers=1, max_frames=args.frames)
     env.reset(seed=0)

@@ -1,8 +1,8 @@
 """How probable is a similarity, given who was fused and who of them lied? The densities that `bayes` ships with.
 
     python examples/calibrate_likelihood.py                                          # measure and print
-    python examples/calibrate_likelihood.py --write defenders/densities/mean.json    # and ship
-    python examples/calibrate_likelihood.py --fusion max --write defenders/densities/max.json
+    python examples/calibrate_likelihood.py --write defenders/bayes/densities/mean.json    # and ship
+    python examples/calibrate_likelihood.py --fusion max --write defenders/bayes/densities/max.json
 
 On the calibration scenes the views of every group of five vehicles are compared, Eq. (5), with those of every group
 the frame before, and with that of everyone in the same frame: while nobody lies (then also with those of two and three
@@ -36,15 +36,15 @@ from rich.table import Table
 from scipy.stats import norm
 
 import agents
-from cp_env.bank import SceneBank
 from cp_env.detector import load_detector
 from cp_env.evaluation import parse
+from cp_env.metrics.similarity import view_similarity_many
 from cp_env.scenes import open_source
-from cp_env.similarity import view_similarity_many
 from cp_env.types import View
-from cp_env.world import World
-from defenders.calibrated import read_likelihood
-from defenders.likelihood import liars_in_groups, liars_in_one, overlaps
+from cp_env.world.scene_cache import SceneBank
+from cp_env.world.world import World
+from defenders.bayes.histograms import read_likelihood
+from defenders.bayes.likelihood import liars_in_groups, liars_in_one, overlaps
 from defenders.protocol import Defender, Frame, Inspection, Query, Verdict
 
 EDGES = (0, 0.01, 0.04, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1)

@@ -30,13 +30,13 @@ from rich.progress import track
 from rich.table import Table
 
 import agents
-from cp_env.bank import SceneBank
 from cp_env.detector import load_detector
-from cp_env.intervals import t_interval
+from cp_env.metrics.intervals import t_interval
 from cp_env.scenes import open_source
-from cp_env.world import World
+from cp_env.world.scene_cache import SceneBank
+from cp_env.world.world import World
 from defenders.protocol import Defender, Frame, Inspection, Query, Verdict
-from defenders.thresholds import EGO_ONLY, write_thresholds
+from defenders.thresholds.tables import EGO_ONLY, write_thresholds
 
 Key = tuple[int, int]  # size of the group, liars in it
 Found = dict[Key, dict[str, list[float]]]  # scores by scene

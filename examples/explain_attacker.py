@@ -20,12 +20,12 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from agents.policy import Policy, load_policy, policy_names
-from agents.training import open_bank
-from cp_env import quiet
-from cp_env.action import Guidance
+from agents.learning.policy import Policy, load_policy, policy_names
+from agents.learning.training import open_bank
+from cp_env.envs.actions import similarity_bounded
+from cp_env.envs.actions.guided import Guidance
 from cp_env.evaluation import Cell, Protocol, Stage
-from cp_env.world import Outcome
+from cp_env.world.situation import Outcome
 
 MOMENTS = ("calm", "alarmed", "sure")
 ALARM = 0.35
@@ -99,7 +99,7 @@ def watch(policy: Policy, args: Args) -> dict[str, list[np.ndarray]]:
 
 def meaning(actions: np.ndarray, action: str, extent: float) -> np.ndarray:
     """The numbers of guided or quiet actions in the units of UNITS, in its order."""
-    actions, *floor = quiet.read(actions) if action == "quiet" else (actions,)
+    actions, *floor = similarity_bounded.read(actions) if action == "quiet" else (actions,)
     guidance = Guidance.read(torch.from_numpy(actions), extent)
     return np.stack([*(getattr(guidance, f.name).numpy() for f in fields(Guidance)), *floor], axis=-1)
 

@@ -21,16 +21,16 @@ from rich.console import Console
 from rich.progress import track
 
 from agents.arena.entries import make_attacker
-from agents.episodes import Episodes, play
-from agents.policy import load_policy, policy_names
-from agents.sweep import slug
-from agents.training import open_bank
+from agents.learning.policy import load_policy, policy_names
+from agents.learning.rollout import Episodes, play
+from agents.learning.sweep import slug
+from agents.learning.training import open_bank
 from cp_env.evaluation import Cell, Protocol, parse
-from cp_env.evaluation.cells import file_words
-from cp_env.evaluation.film import film
-from cp_env.evaluation.store import write_atomically
-from cp_env.intervals import t_interval
-from cp_env.rendering import write_gif
+from cp_env.evaluation.plan.records import write_atomically
+from cp_env.evaluation.plan.runs import file_words
+from cp_env.evaluation.report.video import film
+from cp_env.metrics.intervals import t_interval
+from cp_env.rendering.frame import write_gif
 
 HEADINGS = {"damage per episode": "damage", "liars left out": "excluded", "looks a frame": "verifications"}
 COMMON = ["pgd", "random", "ramp:rate=0.3,first=0.2,steps=8"]

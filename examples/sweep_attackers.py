@@ -22,8 +22,8 @@ from rich.console import Console
 from rich.markdown import Markdown
 from tqdm import tqdm
 
-from agents.sweep import Run, keep, plan_sweep, summarise, sweep, write_table
-from agents.training import Recipe, open_bank
+from agents.learning.sweep import Run, keep, plan_sweep, summarise, sweep, write_table
+from agents.learning.training import Recipe, open_bank
 
 SHOWN = {"damage": "damage per episode", "excluded": "share of liars left out"}
 

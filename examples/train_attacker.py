@@ -17,7 +17,7 @@ import tyro
 from rich.console import Console
 from tqdm import tqdm
 
-from agents.training import Recipe, train
+from agents.learning.training import Recipe, train
 
 
 @dataclass

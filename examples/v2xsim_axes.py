@@ -20,7 +20,7 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 
-from cp_env.geometry import compose, corners, invert
+from cp_env.geometry.planar import compose, corners, invert
 from cp_env.scenes import Town, open_source
 from cp_env.scenes.export import export
 from cp_env.types import Scene, Sweep

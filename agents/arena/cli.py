@@ -31,13 +31,13 @@ from agents.arena.conditions import Conditions, spread
 from agents.arena.entries import make_attacker
 from agents.arena.progress import Bars, duel
 from cp_env import evaluation
-from cp_env.evaluation.arena_report import pictures, write_html, write_markdown
-from cp_env.evaluation.boards import Axes, Board, turns_of
-from cp_env.evaluation.cluster import joined
-from cp_env.evaluation.film import shoot
-from cp_env.evaluation.findings import Findings, find, with_films, write_json
-from cp_env.evaluation.leaderboard import write_leaderboard
-from cp_env.evaluation.stage import open_defender
+from cp_env.evaluation.analysis.results import Findings, find, with_films, write_json
+from cp_env.evaluation.execution.ray import joined
+from cp_env.evaluation.execution.rollout import open_defender
+from cp_env.evaluation.plan.grid import Axes, Board, turns_of
+from cp_env.evaluation.report.arena import pictures, write_html, write_markdown
+from cp_env.evaluation.report.leaderboard import write_leaderboard
+from cp_env.evaluation.report.video import shoot
 
 
 @dataclass(frozen=True)

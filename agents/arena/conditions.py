@@ -18,7 +18,9 @@ class Conditions:
     n_scenes: int | None = None  # play so many of them, spread evenly (all by default)
     frames: int = 100  # an episode's, five a second
     vehicles: int = 5
-    weights: str | None = None  # a file of the detector's, such as `cp_env.detector.train` writes; else those that ship
+    weights: str | None = (
+        None  # a file of the detector's, such as `cp_env.detector.training.train` writes; else those that ship
+    )
     protocol: str = "strict"  # how AP is counted: "strict" or "coperception"
     batch: int = 4  # scenes in lock-step
     threads: int = 1  # torch threads of each process

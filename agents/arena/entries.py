@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import agents
-from agents.policy import load_policy
-from agents.remembered import Remembered
+from agents.attacks.cached import Remembered
+from agents.learning.policy import load_policy
 from cp_env.evaluation import Attacker, Learned
-from cp_env.evaluation.cells import outsider
+from cp_env.evaluation.plan.runs import outsider
 
 POLICY = "policy"
 """The name of learned attackers; the knob `name` says which: one that ships, or a `.safetensors` file."""

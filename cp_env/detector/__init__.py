@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from cp_env.detector.decoder import Dense
-from cp_env.detector.detector import Detector
-from cp_env.detector.weights import load_detector
+from cp_env.detector.model.decoder import Dense
+from cp_env.detector.model.detector import Detector
+from cp_env.detector.model.weights import load_detector
 
 __all__ = ["Dense", "Detector", "load_detector"]

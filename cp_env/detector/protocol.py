@@ -19,18 +19,14 @@ differ in `perceive` alone may share the cache of encoded scenes: they are `Shar
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int, Shaped
-from torch import Tensor, nn
+from torch import Tensor
 
-from cp_env.detector import warp
-from cp_env.detector.decoder import Dense
-from cp_env.detector.detector import Detector
-from cp_env.detector.shared import fingerprint
+from cp_env.detector.model.decoder import Dense
 from cp_env.types import Detections, Sweep
 
 
@@ -120,90 +116,3 @@ def at_side(detector: DetectorLike, kept: Shaped[Tensor, "E ..."] | None) -> Det
         return detector
     assert isinstance(detector, KeepsSweep)
     return detector.beside(kept)
-
-
-class BaseDetector(nn.Module):
-    """A detector but for `channels`, `encode` and `perceive`: maps are warped, boxes found as our own detector does.
-
-    `floor` is the lowest score a box is reported with. ValueError from `digest` if the state cannot be hashed.
-    """
-
-    channels: int
-    size: int = 32
-    extent: float = 32.0
-    threshold: float = 0.3
-    floor: float = 0.05
-
-    def warp(self, maps: Float[Tensor, "*n C H W"], ego_T_sender: Float[Tensor, "*n 3"]) -> Float[Tensor, "*n C H W"]:
-        """See `cp_env.detector.warp`: bilinear, whole cells copied, zeros where the sender's map does not reach."""
-        return warp.warp(maps, ego_T_sender, self.extent)
-
-    def coverage(self, ego_T_sender: Float[Tensor, "*n 3"]) -> Float[Tensor, "*n H W"]:
-        """1 in those cells of the ego's map that the sender's map covers, else 0."""
-        return warp.coverage(ego_T_sender, self.size, self.extent)
-
-    def detect(self, dense: Dense, own: Float[np.ndarray, "B 2"] | None = None) -> list[Detections]:
-        """The peaks of the score map, without overlaps and without the ego: see `Detector.detect`."""
-        return Detector.detect(self, dense, own)  # type: ignore[arg-type]
-
-    def freeze(self) -> BaseDetector:
-        """Make this the victim: evaluation mode, no gradients to weights."""
-        return self.eval().requires_grad_(False)
-
-    @property
-    def device(self) -> torch.device:
-        """Where its weights and buffers are; the CPU if it has none."""
-        tensors = [*self.parameters(), *self.buffers()]
-        return tensors[0].device if tensors else torch.device("cpu")
-
-    @property
-    def digest(self) -> str:
-        """A fingerprint of the class's name, the thresholds, and all weights and buffers."""
-        name = f"{type(self).__module__}.{type(self).__qualname__}"
-        return fingerprint(self, f"{name} {self.size} {self.extent} {self.floor} {self.threshold}")
-
-
-DETECTORS = ("cp_env", "coperception")
-"""Names of detectors: our own with its shipped weights, and coperception's from a checkpoint."""
-
-
-def open_detector(
-    detector: str | DetectorLike = "cp_env",
-    *,
-    fusion: str = "mean",
-    checkpoint: str | Path | None = None,
-    device: str = "cpu",
-) -> DetectorLike:
-    """A detector by its name (with `fusion` and, for coperception's, `checkpoint`), or the object itself, on `device`.
-
-    Raises:
-        ValueError: an unknown name; a checkpoint without coperception's detector, or the reverse; what
-            `load_detector` and `coperception.load_checkpoint` raise.
-    """
-    name = detector if isinstance(detector, str) else type(detector).__name__
-    if isinstance(detector, str) and detector not in DETECTORS:
-        raise ValueError(f"unknown detector {detector!r}: choose one of {', '.join(DETECTORS)}, or pass an object")
-    if (checkpoint is not None) != (name == "coperception"):
-        raise ValueError(
-            'detector="coperception" and its checkpoint="file" come together: '
-            f"got detector={name!r} and checkpoint={checkpoint!r}"
-        )
-    if not isinstance(detector, str):
-        return _on(device, detector)
-    if checkpoint is not None:
-        from cp_env.detector.coperception import load_checkpoint
-
-        return load_checkpoint(checkpoint, fusion=fusion, device=device)
-    from cp_env.detector.weights import load_detector
-
-    return load_detector(fusion, device)
-
-
-def _on(device: str, detector: DetectorLike) -> DetectorLike:
-    """The object itself, moved if it is a module that is elsewhere."""
-    if detector.device.type == torch.device(device).type:
-        return detector
-    if not isinstance(detector, nn.Module):
-        raise ValueError(f"the detector is on {detector.device}, not on {device}, and only a torch module can be moved")
-    moved: DetectorLike = detector.to(device)
-    return moved

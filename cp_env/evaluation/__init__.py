@@ -11,13 +11,14 @@ An attacker comes from outside: this package knows what it does (`reset`, `act`)
 
 from __future__ import annotations
 
-from cp_env.evaluation.cells import Cell, Protocol, parse, plan
-from cp_env.evaluation.crew import Crew, open_bank
-from cp_env.evaluation.figures import Row, mean_ap, summarise
-from cp_env.evaluation.report import about, markdown, screen, write_report
-from cp_env.evaluation.runner import FailedCells, prepare, run, run_all
-from cp_env.evaluation.stage import Attacker, Learned, Stage, play
-from cp_env.evaluation.store import Record, Store
+from cp_env.attack import Attacker, Learned
+from cp_env.evaluation.analysis.summary import Row, mean_ap, summarise
+from cp_env.evaluation.execution.rollout import Stage, play
+from cp_env.evaluation.execution.runner import FailedCells, prepare, run, run_all
+from cp_env.evaluation.execution.workers import Crew, open_bank
+from cp_env.evaluation.plan.records import Record, Store
+from cp_env.evaluation.plan.runs import Cell, Protocol, parse, plan
+from cp_env.evaluation.report.benchmark import about, markdown, screen, write_report
 
 __all__ = [
     "Attacker",

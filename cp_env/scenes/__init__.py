@@ -11,10 +11,10 @@ from cp_env.types import SceneSource
 __all__ = ["KINDS", "SOURCES", "SPLITS", "Town", "open_source"]
 
 SOURCES = {
-    "v2x-sim": "cp_env.scenes.v2xsim:V2XSim",
-    "v2x-sim-det": "cp_env.scenes.v2xsim_det:V2XSimDet",
-    "opv2v": "cp_env.scenes.opv2v:OPV2V",
-    "sumo": "cp_env.scenes.sumo:LiveSumo",
+    "v2x-sim": "cp_env.scenes.v2xsim.source:V2XSim",
+    "v2x-sim-det": "cp_env.scenes.v2xsim.preprocessed:V2XSimDet",
+    "opv2v": "cp_env.scenes.opv2v.source:OPV2V",
+    "sumo": "cp_env.scenes.sumo.live:LiveSumo",
 }
 """Sources with a path: kind to `module:class`, imported when first opened. The class takes the path, then keywords."""
 

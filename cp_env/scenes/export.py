@@ -10,8 +10,8 @@ from cp_env.scenes.clip import Clip
 from cp_env.types import SceneSource
 
 WRITERS = {
-    "v2x-sim": "cp_env.scenes.v2xsim_writer:write",
-    "opv2v": "cp_env.scenes.opv2v_writer:write",
+    "v2x-sim": "cp_env.scenes.v2xsim.writer:write",
+    "opv2v": "cp_env.scenes.opv2v.writer:write",
 }
 """Layout to `module:function`, called with a source, the names of its scenes to write, and an empty folder."""
 

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 
-from cp_env.scenes import recording
+from cp_env.scenes.formats import recording
 from cp_env.types import Scene, Sweep
 
 SPLITS = ("train", "calibration", "test")
@@ -22,7 +22,7 @@ class Town:
 
     Args:
         split: "train", "calibration" or "test"; no two of them share a street.
-        folder: where `python -m cp_env.scenes.record` wrote; the recordings of the package by default.
+        folder: where `python -m cp_env.scenes.sumo.record` wrote; the recordings of the package by default.
 
     Raises:
         ValueError: unknown split; the folder's index is missing or broken, or names a recording that is missing.

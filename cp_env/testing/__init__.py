@@ -13,9 +13,9 @@ import copy
 from collections.abc import Callable, Collection
 from typing import Any
 
+from cp_env.testing.cp_env_rules import HOUSE, is_ours
 from cp_env.testing.detector import DetectorRuleBroken, check_detector
-from cp_env.testing.generic import GENERIC, Rule
-from cp_env.testing.house import HOUSE, is_ours
+from cp_env.testing.parallel_env import GENERIC, Rule
 from cp_env.testing.rollout import Case, Env, Violation
 from cp_env.testing.scenes import LAWS, LawBroken, check_scenes
 

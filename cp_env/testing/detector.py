@@ -18,10 +18,10 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from cp_env.detector.decoder import Dense
+from cp_env.detector.model.decoder import Dense
 from cp_env.detector.protocol import KeepsSweep, SharesMaps, at_side
-from cp_env.geometry import grid_origin
-from cp_env.lidar import scan
+from cp_env.geometry.planar import grid_origin
+from cp_env.lidar.sensor import scan
 from cp_env.testing.rollout import Violation, require
 from cp_env.types import Detections, Scene, Sweep
 

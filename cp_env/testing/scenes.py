@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
-from cp_env.geometry import grid_origin
+from cp_env.geometry.planar import grid_origin
 from cp_env.scenes import open_source
 from cp_env.testing.rollout import Violation, require
 from cp_env.types import Scene, SceneSource, Sweep

@@ -18,12 +18,12 @@ import torch
 import tyro
 
 import agents
+from agents.attacks.cached import Remembered
 from agents.protocol import Attacker
-from agents.remembered import Remembered
 from cp_env import evaluation
 from cp_env.evaluation import Cell, Protocol, Record
-from cp_env.intervals import t_interval
-from cp_env.metrics import id_rate, mc_rate
+from cp_env.metrics.identification import id_rate, mc_rate
+from cp_env.metrics.intervals import t_interval
 from cp_env.scenes import open_source
 
 COMMON = (

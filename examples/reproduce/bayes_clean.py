@@ -18,10 +18,10 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from cp_env.bank import SceneBank
 from cp_env.detector import load_detector
 from cp_env.scenes import open_source
-from cp_env.world import World
+from cp_env.world.scene_cache import SceneBank
+from cp_env.world.world import World
 
 
 @dataclass

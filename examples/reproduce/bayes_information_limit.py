@@ -24,9 +24,9 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from cp_env.intervals import Interval, t_interval
+from cp_env.metrics.intervals import Interval, t_interval
 from defenders import Bayes
-from defenders.perfect import Episode, play
+from defenders.simulation.world import Episode, play
 
 
 @dataclass

@@ -30,10 +30,10 @@ from rich.table import Table
 
 sys.path.insert(0, str(Path(__file__).parents[2]))  # the calibration is another example
 
-from cp_env.intervals import t_interval
+from cp_env.metrics.intervals import t_interval
 from defenders import Bayes, Defender, Prbi, Verdict
-from defenders.calibrated import read_likelihood
-from defenders.likelihood import Likelihood
+from defenders.bayes.histograms import read_likelihood
+from defenders.bayes.likelihood import Likelihood
 from examples.calibrate_likelihood import Args as Calibration
 from examples.calibrate_likelihood import Tape, densities, groups, sorted_out, stored, survey
 

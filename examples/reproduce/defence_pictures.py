@@ -32,10 +32,10 @@ from rich.console import Console
 from rich.progress import track
 
 from cp_env import evaluation
-from cp_env.camera import Camera
-from cp_env.evaluation.store import write_atomically
-from cp_env.geometry import corners
-from cp_env.rendering import wrong_rows
+from cp_env.evaluation.plan.records import write_atomically
+from cp_env.geometry.planar import corners
+from cp_env.rendering.camera import Camera
+from cp_env.rendering.frame import wrong_rows
 from cp_env.scenes import open_source
 from examples.reproduce.defence_tables import LIARS, attacker
 

@@ -36,9 +36,9 @@ from rich.console import Console
 from rich.progress import Progress
 
 import agents
-from agents.remembered import Remembered
+from agents.attacks.cached import Remembered
 from cp_env import evaluation
-from cp_env.intervals import Interval
+from cp_env.metrics.intervals import Interval
 from cp_env.scenes import open_source
 from examples.reproduce.paper_tables import TABLES, Line, PaperTable
 

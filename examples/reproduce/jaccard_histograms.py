@@ -30,13 +30,13 @@ from rich.progress import track
 from rich.table import Table
 
 import agents
-from cp_env.bank import SceneBank
 from cp_env.detector import load_detector
-from cp_env.intervals import t_interval
+from cp_env.metrics.intervals import t_interval
+from cp_env.metrics.similarity import view_similarity_many
 from cp_env.scenes import open_source
-from cp_env.similarity import view_similarity_many
 from cp_env.types import SceneSource
-from cp_env.world import World
+from cp_env.world.scene_cache import SceneBank
+from cp_env.world.world import World
 
 CONDITIONS = {"upper bound": "none", "lower bound": "none", "BIM": "bim", "C&W": "cw", "PGD": "pgd"}
 KINDS = {"urban": "tab:blue", "suburban": "tab:orange", "intersection": "tab:green"}  # and their colours

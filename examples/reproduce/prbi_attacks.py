@@ -28,11 +28,11 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from cp_env.evaluation.stage import open_defender
+from cp_env.evaluation.execution.rollout import open_defender
 from defenders import Defender
-from defenders.likeness import Group
-from defenders.perfect import Schedule, Terms, every, turning
-from defenders.tally import Tally, members, play_many
+from defenders.simulation.statistics import Tally, members, play_many
+from defenders.simulation.verifier import Group
+from defenders.simulation.world import Schedule, Terms, every, turning
 
 FIVE = Terms(n_vehicles=5, n_liars=2, max_frames=40, until_converged=False)
 

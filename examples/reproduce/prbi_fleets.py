@@ -23,7 +23,7 @@ from rich.progress import track
 from rich.table import Table
 
 from defenders import Prbi
-from defenders.perfect import PerfectWorld
+from defenders.simulation.world import PerfectWorld
 
 
 @dataclass

@@ -34,12 +34,12 @@ from rich.table import Table
 import agents
 from cp_env import evaluation
 from cp_env.evaluation import Record
-from cp_env.intervals import Interval, bootstrap_interval, t_interval
-from cp_env.metrics import id_rate, mc_rate
+from cp_env.metrics.identification import id_rate, mc_rate
+from cp_env.metrics.intervals import Interval, bootstrap_interval, t_interval
 from cp_env.scenes import open_source
 from defenders import Prbi
-from defenders.perfect import Terms
-from defenders.tally import play_many
+from defenders.simulation.statistics import play_many
+from defenders.simulation.world import Terms
 
 N = 5
 ALPHAS, WINDOWS = (0.20, 0.15, 0.10, 0.05, 0.01), (10, 8, 6, 4)

@@ -23,10 +23,10 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from cp_env.intervals import Interval, bootstrap_interval, t_interval
+from cp_env.metrics.intervals import Interval, bootstrap_interval, t_interval
 from defenders import Prbi, Reading
-from defenders.perfect import Episode, play
-from defenders.readings import SPLITS
+from defenders.prbi.interpretation import SPLITS
+from defenders.simulation.world import Episode, play
 
 PAPER = {  # k: verifications min, max, first frame, mean; frames to convergence; ID %, MC %
     1: (2, 2, 2.00, 2.00, 2.25, 100, 0),

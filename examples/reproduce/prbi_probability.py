@@ -26,14 +26,14 @@ from rich.progress import track
 from rich.table import Table
 
 import agents
-from cp_env.bank import SceneBank
 from cp_env.detector import load_detector
-from cp_env.evaluation.store import write_atomically
-from cp_env.intervals import t_interval
+from cp_env.evaluation.plan.records import write_atomically
+from cp_env.metrics.intervals import t_interval
 from cp_env.scenes import open_source
-from cp_env.world import World
+from cp_env.world.scene_cache import SceneBank
+from cp_env.world.world import World
 from defenders import Prbi
-from defenders.perfect import PerfectWorld
+from defenders.simulation.world import PerfectWorld
 
 N = 5
 

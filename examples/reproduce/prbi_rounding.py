@@ -21,10 +21,10 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from cp_env.intervals import Interval, t_interval
+from cp_env.metrics.intervals import Interval, t_interval
 from defenders import Prbi
-from defenders.perfect import PerfectWorld
-from defenders.readings import ROUNDINGS
+from defenders.prbi.interpretation import ROUNDINGS
+from defenders.simulation.world import PerfectWorld
 
 
 @dataclass

@@ -21,9 +21,9 @@ from rich.progress import track
 from rich.table import Table
 
 from defenders import Prbi
-from defenders.evidence import upper_quantile
-from defenders.perfect import PerfectWorld, Terms
-from defenders.tally import play_many
+from defenders.prbi.inference import upper_quantile
+from defenders.simulation.statistics import play_many
+from defenders.simulation.world import PerfectWorld, Terms
 
 
 @dataclass

@@ -18,11 +18,11 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from cp_env.intervals import t_interval
+from cp_env.metrics.intervals import t_interval
 from defenders import Robosac
-from defenders.perfect import Terms
 from defenders.robosac import team_size
-from defenders.tally import play_many
+from defenders.simulation.statistics import play_many
+from defenders.simulation.world import Terms
 
 
 @dataclass(frozen=True)

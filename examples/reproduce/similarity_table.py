@@ -1,8 +1,8 @@
 """How alike is a group's view to the frame before, by the size of the group and the number of liars in it?
 
     python examples/reproduce/similarity_table.py                                             # measure, print, draw
-    python examples/reproduce/similarity_table.py --frames 6 --write defenders/thresholds.json  # and calibrate PRBI's ε
-    python examples/reproduce/similarity_table.py --frames 4 --write defenders/thresholds.json --fusion max  # and so on
+    python examples/reproduce/similarity_table.py --frames 6 --write FILE  # and calibrate PRBI's ε
+    python examples/reproduce/similarity_table.py --frames 4 --write FILE --fusion max  # and so on
 
 PRBI (Sec. 11.1) judges every group by one threshold, 0.35. Here the similarity, Eq. (5), of every group of five
 vehicles to the honest view of the frame before is measured on the calibration scenes, PGD lying jointly in k = 0 … 4
@@ -29,13 +29,13 @@ from rich.progress import track
 from rich.table import Table
 
 import agents
-from cp_env.bank import SceneBank
 from cp_env.detector import load_detector
-from cp_env.intervals import Interval, t_interval
+from cp_env.metrics.intervals import Interval, t_interval
 from cp_env.scenes import open_source
-from cp_env.world import World
+from cp_env.world.scene_cache import SceneBank
+from cp_env.world.world import World
 from defenders.protocol import Defender, Frame, Inspection, Query, Verdict
-from defenders.thresholds import write_thresholds
+from defenders.thresholds.tables import write_thresholds
 
 Key = tuple[int, int]  # group size, liars in it
 

@@ -27,10 +27,10 @@ from rich.progress import track
 from rich.table import Table
 
 import defenders
-from cp_env.intervals import Interval, bootstrap_interval
+from cp_env.metrics.intervals import Interval, bootstrap_interval
 from defenders.pasac import halves
-from defenders.perfect import Terms
-from defenders.tally import play_many
+from defenders.simulation.statistics import play_many
+from defenders.simulation.world import Terms
 
 ROWS = ("ROBOSAC", "PASAC", "PRBI, first abnormal frame", "PRBI, all frames")
 PAPER = {  # of n = 5, k = 1 … 4: least, most, mean
@@ -87,10 +87,10 @@ def count_on_detector(row: str, k: int, args: Args) -> np.ndarray:
     import torch
 
     import agents
-    from cp_env.bank import SceneBank
     from cp_env.detector import load_detector
     from cp_env.scenes import open_source
-    from cp_env.world import World
+    from cp_env.world.scene_cache import SceneBank
+    from cp_env.world.world import World
 
     torch.set_num_threads(args.threads)
     bank = SceneBank(open_source(args.scenes), load_detector())

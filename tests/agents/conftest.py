@@ -5,9 +5,9 @@ from collections.abc import Iterator
 import pytest
 import torch
 
-from cp_env.bank import SceneBank
 from cp_env.detector import Detector
-from tests.toy import ToySource
+from cp_env.world.scene_cache import SceneBank
+from tests.helpers.toy_scenes import ToySource
 
 FRAMES = 3
 """Length of a toy episode."""

@@ -7,9 +7,9 @@ import pytest
 from gymnasium import Wrapper
 
 from agents.sb3 import AdversaryVecEnv, make_vec_env
-from cp_env.bank import SceneBank
-from cp_env.game import Game
-from cp_env.vector import JointAdversaryVectorEnv
+from cp_env.envs.core import Game
+from cp_env.envs.vector import JointAdversaryVectorEnv
+from cp_env.world.scene_cache import SceneBank
 from tests.agents.conftest import FRAMES
 
 K = 2

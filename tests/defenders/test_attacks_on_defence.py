@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from defenders import Bayes, Defender, Pasac, Prbi, Robosac
-from defenders.likeness import Group
-from defenders.perfect import Episode, Terms, every
-from defenders.tally import Tally, members, play_many
+from defenders.simulation.statistics import Tally, members, play_many
+from defenders.simulation.verifier import Group
+from defenders.simulation.world import Episode, Terms, every
 from examples.reproduce import prbi_attacks
 from examples.reproduce.prbi_attacks import FIVE, SITUATIONS
 

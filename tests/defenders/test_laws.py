@@ -12,7 +12,7 @@ import pytest
 
 import defenders
 from defenders import Defender, Frame
-from defenders.perfect import PerfectWorld, Ruling
+from defenders.simulation.world import PerfectWorld, Ruling
 
 FRAMES = 10
 PROTOCOL = {"index", "n_vehicles", "present", "seen", "similarity", "agreement"}

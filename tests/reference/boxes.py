@@ -1,4 +1,4 @@
-"""Slow twins of `cp_env.boxes`, `cp_env.similarity` and `cp_env.metrics`: one pair, one cell at a time."""
+"""Slow twins of `cp_env.geometry.boxes` and of two modules of `cp_env.metrics`: one pair, one cell at a time."""
 
 from __future__ import annotations
 

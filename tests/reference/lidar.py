@@ -1,4 +1,4 @@
-"""A LiDAR by the textbook: one ray, one box, three slabs. Slow twin of `cp_env.raycast`."""
+"""A LiDAR by the textbook: one ray, one box, three slabs. Slow twin of `cp_env.lidar.raycast`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from cp_env.raycast import GROUND, NOTHING, Mount, Prisms
+from cp_env.lidar.raycast import GROUND, NOTHING, Mount, Prisms
 
 Vector = tuple[float, float, float]
 

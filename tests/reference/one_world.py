@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from cp_env.bank import ego_place, make_views
 from cp_env.detector import Detector
-from cp_env.geometry import grid_origin
+from cp_env.geometry.planar import grid_origin
 from cp_env.types import SceneSource, View
+from cp_env.world.episode import ego_place, make_views
 
 
 def look(

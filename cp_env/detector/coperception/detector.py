@@ -13,14 +13,14 @@ import torch
 from jaxtyping import Bool, Float, Int, Shaped, UInt8
 from torch import Tensor, nn
 
-from cp_env.boxes import pairwise_iou
-from cp_env.detector import warp
 from cp_env.detector.coperception import fusion, grid, heads
 from cp_env.detector.coperception.backbone import CHANNELS, Decoder, Encoder, Skips
 from cp_env.detector.coperception.checkpoint import FUSIONS, Weights, read
 from cp_env.detector.coperception.heads import Anchored, Heads
-from cp_env.detector.decoder import Dense
-from cp_env.detector.shared import fingerprint, refuse_empty
+from cp_env.detector.model import warp
+from cp_env.detector.model.decoder import Dense
+from cp_env.detector.model.fingerprint import fingerprint, refuse_empty
+from cp_env.geometry.boxes import pairwise_iou
 from cp_env.types import Detections, Sweep
 
 CHUNK = 4

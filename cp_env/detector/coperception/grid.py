@@ -15,7 +15,7 @@ import torch
 from jaxtyping import Int, UInt8
 from torch import Tensor
 
-from cp_env.geometry import grid_origin
+from cp_env.geometry.planar import grid_origin
 from cp_env.types import Sweep
 
 EXTENT = 32.0

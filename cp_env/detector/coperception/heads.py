@@ -19,7 +19,7 @@ from torch.nn import functional
 
 from cp_env.detector.coperception.checkpoint import Weights, layer
 from cp_env.detector.coperception.grid import CELL, EXTENT, SIZE
-from cp_env.detector.decoder import Dense
+from cp_env.detector.model.decoder import Dense
 
 ANGLES = (0.0, math.pi / 2, -math.pi / 4)
 ANCHORS = tuple((*size, angle) for size in ((2.0, 4.0), (3.0, 12.0)) for angle in ANGLES)

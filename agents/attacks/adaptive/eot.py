@@ -1,0 +1,123 @@
+"""Expectation over the groups that a random defence may look at."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from itertools import combinations
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from agents.attacks.gradient import Ascent, silence
+from agents.attacks.pgd import Steepest
+from agents.attacks.targets import Audience, Crowd
+from agents.protocol import Streams, streams
+from cp_env.world.situation import Situation
+
+Groups = list[frozenset[int]]
+
+
+@dataclass
+class Eot:
+    """Liars who attack whatever group the defence may fuse, in expectation, and not only everyone.
+
+    Threat model: white-box on the detector, and the liars know the defence's algorithm; its coins they do not. Source:
+    expectation over transformation (Athalye et al., "Synthesizing Robust Adversarial Examples", 2018), which they turn
+    on randomised defences in "Obfuscated Gradients Give a False Sense of Security", 2018. The transformation here is
+    the group that is fused.
+
+    groups   "teams"      the ego and `size - 1` of the others, ROBOSAC's: all of them, equally likely
+             "halves"     the ego and one half of the others, PASAC's first depth: likewise
+             "splits"     `size` vehicles and, apart, the others, PRBI's two groups: likewise
+             "rehearsed"  the defence itself, whichever it is, is played `draws` times with coins of the liars' own
+                          against what they sent last; each group that it asked for or fused counts as often
+    """
+
+    groups: str = "rehearsed"
+    size: int = 3
+    draws: int = 4
+    steps: int = 15
+    step_size: float = 0.1
+    random_start: bool = True
+    _ascent: Ascent = field(init=False, repr=False)
+    _coins: list[np.random.Generator] = field(default_factory=list, init=False, repr=False)
+    _last: Float[Tensor, "E k C H W"] | None = field(default=None, init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        if self.size < 1 or self.draws < 1:
+            raise ValueError(f"size and draws must be at least 1, got {self.size} and {self.draws}")
+        search = Steepest(self.steps, self.step_size)
+        audience = self._rehearsed if self.groups == "rehearsed" else drawn_from(self.groups, self.size)
+        self._ascent = Ascent(search, random_start=self.random_start, audience=audience)
+
+    def reset(self, n_worlds: int, rng: Streams) -> None:
+        own = streams(n_worlds, rng)
+        self._coins, self._last = [stream.spawn(1)[0] for stream in own], None
+        self._ascent.reset(n_worlds, own)
+
+    def act(self, situation: Situation) -> Float[Tensor, "E k C H W"]:
+        """See `Attacker.act`."""
+        self._last = self._ascent.act(situation)
+        return self._last
+
+    def _rehearsed(self, situation: Situation) -> Crowd:
+        sent = silence(situation) if self._last is None else self._last
+        asked: list[Groups] = [[] for _ in situation.fused]
+        for _ in range(self.draws):
+            for groups, judged in zip(asked, situation.rehearse(sent, self._coins).judgements, strict=True):
+                groups += [*judged.groups, judged.verdict.collaborators]
+        return crowd(situation, asked)
+
+
+def teams(n: int, size: int) -> Groups:
+    """The ego and `size - 1` of the others."""
+    return [frozenset({0, *others}) for others in combinations(range(1, n), size - 1)]
+
+
+def halves(n: int, size: int = 0) -> Groups:
+    """The ego and a half of the others, the smaller or the larger, whatever `size` is."""
+    del size
+    sizes = {(n - 1) // 2, n - 1 - (n - 1) // 2}
+    return [frozenset({0, *half}) for size in sorted(sizes) for half in combinations(range(1, n), size)]
+
+
+def splits(n: int, size: int) -> Groups:
+    """Any `size` vehicles, and the others."""
+    first = [frozenset(group) for group in combinations(range(n), size)]
+    return [*first, *(frozenset(range(n)) - group for group in first)]
+
+
+GROUPS: dict[str, Callable[[int, int], Groups]] = {"teams": teams, "halves": halves, "splits": splits}
+"""From the number of vehicles and a size to the groups that a defence draws from."""
+
+
+def drawn_from(name: str, size: int) -> Audience:
+    """All groups of that name, equally likely. Raises ValueError for an unknown name, or if there are none."""
+    if name not in GROUPS:
+        raise ValueError(f"unknown groups {name!r}; known: {', '.join(GROUPS)}")
+
+    def audience(situation: Situation) -> Crowd:
+        groups = GROUPS[name](situation.fused.shape[1], size)
+        if not groups or not all(groups):
+            raise ValueError(f"no {name} of size {size} among {situation.fused.shape[1]} vehicles; choose another size")
+        return crowd(situation, [groups] * len(situation.fused))
+
+    return audience
+
+
+def crowd(situation: Situation, groups: Iterable[Groups]) -> Crowd:
+    """Every world's own groups, as far as they are present, as an audience; one that is named twice counts twice."""
+    named = [list(of_world) for of_world in groups]
+    shape = len(named), max(len(of_world) for of_world in named), situation.fused.shape[1]
+    members, weights = torch.zeros(shape, dtype=torch.bool), torch.zeros(shape[:2])
+    for e, of_world in enumerate(named):
+        distinct = list(dict.fromkeys(of_world))
+        for s, group in enumerate(distinct):
+            members[e, s, sorted(group)] = True
+            weights[e, s] = of_world.count(group) / len(of_world)
+    device = situation.fused.device
+    members = members.to(device) & situation.present[:, None]
+    return members, weights.to(device) * members.any(2)

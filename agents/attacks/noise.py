@@ -1,0 +1,48 @@
+"""What no gradient buys, and what nobody does: the floors under every attack."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float
+from torch import Tensor
+
+from agents.attacks.constraint import make_ball
+from agents.attacks.gradient import due, silence
+from agents.attacks.schedule import Schedule, always, make_schedule
+from agents.protocol import Streams, streams
+from cp_env.world.situation import Situation
+
+
+@dataclass
+class Noise:
+    """Random perturbations: uniform in the L∞ ball; in the L2 ball uniform in direction and length."""
+
+    schedule: str | Schedule = always
+    _streams: list[np.random.Generator] = field(default_factory=list, init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        self._schedule = make_schedule(self.schedule)
+
+    def reset(self, n_worlds: int, rng: Streams) -> None:
+        self._streams = streams(n_worlds, rng)
+
+    def act(self, situation: Situation) -> Float[Tensor, "E k C H W"]:
+        """See `Attacker.act`."""
+        delta = silence(situation)
+        ball, (k, c, h, w) = make_ball(situation.norm), delta.shape[1:]
+        for e in due(situation, self._schedule).nonzero().flatten().tolist():
+            delta[e] = ball.random((k, c, h, w), situation.budget, self._streams[e])
+        return delta
+
+
+class Silence:
+    """Liars that do not lie."""
+
+    def reset(self, n_worlds: int, rng: Streams) -> None:
+        del n_worlds, rng
+
+    def act(self, situation: Situation) -> Float[Tensor, "E k C H W"]:
+        """See `Attacker.act`."""
+        return silence(situation)

@@ -1,0 +1,1 @@
+"""Attacks that are learned: PPO, policies, their training and their evaluation."""

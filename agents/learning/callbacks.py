@@ -1,0 +1,111 @@
+"""What is looked at while PPO learns: held-back scenes between the rollouts, and the frames of every rollout."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
+
+from agents.learning.policy import Policy, save_policy
+from agents.learning.rollout import Episodes
+from cp_env.evaluation.plan.records import write_atomically
+
+LOOKED = ("damage", "similarity", "verifications", "excluded")
+
+Look = dict[str, float]
+"""Means of `Episodes` over the held-back scenes, after so many "frames" of learning."""
+
+
+class Holdout(BaseCallback):
+    """Plays the policy on scenes not trained on: before it learns, after every `every` rollouts, at the end of `learn`.
+
+    Each look is added to the learning curve, `curve.json` in `folder`; the policy that did most damage so far is kept
+    there as `policy.safetensors`. A learner that goes on from a checkpoint goes on with the curve that led to it.
+
+    Args:
+        play: whole episodes of a policy on the scenes held back.
+        make: the learner's policy as it is now.
+        per_frame: steps that the learner counts in one frame of one world.
+    """
+
+    def __init__(
+        self,
+        play: Callable[[Policy], Episodes],
+        make: Callable[[OnPolicyAlgorithm], Policy],
+        folder: Path,
+        *,
+        every: int,
+        per_frame: int = 1,
+    ) -> None:
+        super().__init__()
+        self.play, self.make, self.folder, self.every, self.per_frame = play, make, folder, every, per_frame
+        self.curve: list[Look] = read_curve(folder)
+
+    @property
+    def most(self) -> float:
+        """The most damage an episode in any look so far."""
+        return max((look["damage"] for look in self.curve), default=-np.inf)
+
+    def _on_training_start(self) -> None:
+        self._rollouts = 0
+        self.curve = [look for look in self.curve if look["frames"] <= self._now]
+        if not self.curve:
+            self._look()
+
+    def _on_rollout_start(self) -> None:
+        if self._rollouts and self._rollouts % self.every == 0:
+            self._look()
+        self._rollouts += 1
+
+    def _on_training_end(self) -> None:
+        self._look()
+
+    def _on_step(self) -> bool:
+        return True
+
+    @property
+    def _now(self) -> int:
+        return self.model.num_timesteps // self.per_frame
+
+    def _look(self) -> None:
+        policy = self.make(self.model)  # type: ignore[arg-type]
+        episodes = self.play(policy)
+        look = {key: float(getattr(episodes, key).mean()) for key in LOOKED} | {"frames": self._now}
+        for key, value in look.items():
+            self.logger.record(f"holdout/{key}", value)
+        self.logger.dump(self.num_timesteps)
+        if look["damage"] > self.most:
+            policy.notes.update(holdout_damage=look["damage"], holdout_scenes=len(episodes.damage))
+            save_policy(policy, self.folder / "policy.safetensors")
+        self.curve.append(look)
+        write_atomically(self.folder / "curve.json", json.dumps(self.curve, indent=1))
+
+
+def read_curve(folder: Path) -> list[Look]:
+    """The learning curve that a run in `folder` has drawn so far."""
+    path = folder / "curve.json"
+    curve: list[Look] = json.loads(path.read_text()) if path.exists() else []
+    return curve
+
+
+class FrameDamage(BaseCallback):
+    """TensorBoard curves of what the frames of a rollout looked like."""
+
+    KEYS = ("damage", "similarity", "verifications", "excluded", "perturbation_norm")
+
+    def _on_training_start(self) -> None:
+        self._seen: dict[str, list[float]] = {key: [] for key in self.KEYS}
+
+    def _on_step(self) -> bool:
+        for key in self.KEYS:
+            self._seen[key] += [info[key] for info in self.locals["infos"]]
+        return True
+
+    def _on_rollout_end(self) -> None:
+        for key, values in self._seen.items():
+            self.logger.record(f"frame/{key}", float(np.mean(values)))
+            values.clear()

@@ -1,0 +1,173 @@
+"""One attacker trained: the recipe, and the run that follows it from wherever it was stopped.
+
+A run is a chain of segments, each some rollouts long. Every segment begins new episodes and draws from streams of its
+own, made from the recipe's seed and its place in the chain; so a run that was killed and went on from the checkpoint
+before its last segment is, bit for bit, the run that nobody killed.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, fields
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from stable_baselines3.common.callbacks import ConvertCallback
+from stable_baselines3.common.logger import configure
+from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
+from stable_baselines3.common.vec_env import VecMonitor
+
+from agents.learning.callbacks import FrameDamage, Holdout, Look
+from agents.learning.policy import Policy, load_policy
+from agents.learning.ppo import PPO_KNOBS, adopt, export, load_checkpoint, make_ppo, save_checkpoint
+from agents.learning.rollout import Episodes, play
+from agents.sb3 import AdversaryVecEnv, make_vec_env
+from cp_env.detector import load_detector
+from cp_env.evaluation import Protocol
+from cp_env.evaluation.execution.rollout import open_defender
+from cp_env.scenes.subset import Some
+from cp_env.world.scene_cache import SceneBank
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recipe:
+    """How an attacker is trained; together with the versions of the libraries it decides every bit of the policy."""
+
+    defender: str = "prbi"
+    """whom to beat: a name of defenders.names(), with knobs if need be: prbi:threshold=calibrated"""
+    joint: bool = False
+    """one actor moves all liars of a world; else they share a policy that moves each by what it sees itself"""
+    recurrent: bool = False
+    """an actor that remembers the frames before (needs the extra `recurrent`)"""
+    action: str = "guided"
+    """what its numbers mean: guided, quiet or basis, see docs/actions.md"""
+    knowledge: str = "gray-box"
+    """how much of the defender the policy sees: black-box, gray-box or white-box"""
+    reward: str = "damage"
+    """what the liars are paid: damage, ap_drop or stealth"""
+    seed: int = 0
+    """of the learner, the scenes and the liars"""
+    frames: int = 5_000
+    """frames of traffic to learn from, all worlds together; whole segments are played"""
+    worlds: int = 8
+    """worlds stepped together"""
+    n_vehicles: int = 5
+    n_attackers: int = 2
+    max_frames: int = 50
+    """length of an episode"""
+    scenes: str = "town/train"
+    n_scenes: int = 12
+    """how many of them to learn on: each is encoded once, which takes seconds"""
+    holdout: str = "town/calibration"
+    """scenes on which the policy to keep is chosen"""
+    n_holdout: int = 6
+    """how many of them, one episode each"""
+    every: int = 5
+    """rollouts in a segment: then the policy is played on the scenes held back, and a checkpoint is written"""
+    learning_rate: float = 1e-3
+    gamma: float = 0.9
+    begin: str | None = None
+    """a policy whose actor is learned on: a name of agents.learning.policy.policy_names(), or a .safetensors file"""
+
+    def __post_init__(self) -> None:
+        open_defender(self.defender)
+        for name in ("frames", "worlds", "every"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} must be at least 1, not {getattr(self, name)}")
+
+    @property
+    def knobs(self) -> dict[str, Any]:
+        """Of the environment."""
+        copied = ("n_vehicles", "n_attackers", "action", "knowledge", "reward", "max_frames")
+        return {"observation": "compact"} | {name: getattr(self, name) for name in copied}
+
+    @property
+    def n_segments(self) -> int:
+        """Segments that hold at least `frames` frames."""
+        return -(-self.frames // self.segment)
+
+    @property
+    def segment(self) -> int:
+        """Frames of a segment, all worlds together."""
+        return int(self.worlds * self.every * PPO_KNOBS["n_steps"])
+
+
+def train(
+    recipe: Recipe, folder: Path, *, tensorboard: bool = False, tell: Callable[[int], object] = lambda frames: None
+) -> list[Look]:
+    """Follow the recipe, from the last checkpoint in `folder` if there is one; the learning curve.
+
+    `folder` then holds the policy that did most damage, `policy.safetensors`. `tell` is called with the frames learned
+    from so far, every frame.
+
+    Raises ValueError if `folder` holds a run of another recipe (one with fewer frames may go on), or a broken one.
+    """
+    _claim(folder, recipe)
+    env = _environment(recipe)
+    monitored = VecMonitor(env)
+    model = make_ppo(
+        monitored, recipe.seed, recurrent=recipe.recurrent, learning_rate=recipe.learning_rate, gamma=recipe.gamma
+    )
+    if tensorboard:
+        model.set_logger(configure(str(folder), ["tensorboard"]))
+    checkpoint = folder / "checkpoint.pt"
+    if checkpoint.exists():
+        load_checkpoint(model, checkpoint)
+    elif recipe.begin is not None:
+        adopt(model, load_policy(recipe.begin))
+    holdout = Holdout(_held_back(recipe), _exporter(recipe), folder, every=recipe.every, per_frame=env.n_seats)
+
+    def tick(variables: dict[str, Any], _: dict[str, Any]) -> bool:
+        tell(variables["self"].num_timesteps // env.n_seats)
+        return True
+
+    steps = recipe.segment * env.n_seats
+    for number in range(model.num_timesteps // steps, recipe.n_segments):
+        model.set_env(monitored, force_reset=True)
+        model.set_random_seed(int(np.random.SeedSequence([recipe.seed, number]).generate_state(1)[0]))
+        model.learn(steps, callback=[FrameDamage(), holdout, ConvertCallback(tick)], reset_num_timesteps=False)
+        save_checkpoint(model, checkpoint)
+    return holdout.curve
+
+
+def _claim(folder: Path, recipe: Recipe) -> None:
+    """Write the recipe into the folder; ValueError if another one's run is there."""
+    folder.mkdir(parents=True, exist_ok=True)
+    path, mine = folder / "recipe.json", asdict(recipe)
+    if path.exists():
+        theirs = json.loads(path.read_text())
+        other = [f.name for f in fields(recipe) if f.name != "frames" and theirs.get(f.name) != mine[f.name]]
+        if other:
+            raise ValueError(f"{folder} holds a run with another {', '.join(other)}; choose another folder")
+    path.write_text(json.dumps(mine, indent=1))
+
+
+def _environment(recipe: Recipe) -> AdversaryVecEnv:
+    return make_vec_env(
+        recipe.worlds,
+        open_defender(recipe.defender),
+        joint=recipe.joint,
+        bank=open_bank(recipe.scenes, recipe.n_scenes),
+        **recipe.knobs,
+    )
+
+
+@lru_cache(maxsize=4)
+def open_bank(scenes: str, n_scenes: int) -> SceneBank:
+    """A bank of `n_scenes` of the scenes called so, under the detector that ships; the same one if asked again."""
+    return SceneBank(Some(scenes, n_scenes), load_detector())
+
+
+def _held_back(recipe: Recipe) -> Callable[[Policy], Episodes]:
+    bank = open_bank(recipe.holdout, recipe.n_holdout)
+    protocol = Protocol(
+        scenes=bank.source, names=bank.source.names(), frames=recipe.max_frames, n_vehicles=recipe.n_vehicles
+    )
+    return lambda policy: play(policy, protocol, bank, defender=recipe.defender, k=recipe.n_attackers)
+
+
+def _exporter(recipe: Recipe) -> Callable[[OnPolicyAlgorithm], Policy]:
+    return lambda model: export(model, recipe.defender, recipe.knobs, joint=recipe.joint, seed=recipe.seed)

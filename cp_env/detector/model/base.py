@@ -1,0 +1,71 @@
+"""The base class of detectors: maps are warped and boxes found as our own detector does."""
+
+from __future__ import annotations
+
+from itertools import chain, pairwise
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from cp_env.detector.model import warp
+from cp_env.detector.model.decoder import Dense, peaks
+from cp_env.detector.model.fingerprint import fingerprint
+from cp_env.geometry.boxes import nms_batch
+from cp_env.types import Detections
+
+MOST_BOXES = 80
+OWN_RADIUS = 1.5  # m; nothing else's centre can be this close to the ego's
+NMS_IOU = 0.15  # two vehicles cannot overlap, two boxes estimated of neighbours may a little
+
+
+class BaseDetector(nn.Module):
+    """A detector but for `channels`, `encode` and `perceive`: maps are warped, boxes found as our own detector does.
+
+    `floor` is the lowest score a box is reported with. ValueError from `digest` if the state cannot be hashed.
+    """
+
+    channels: int
+    size: int = 32
+    extent: float = 32.0
+    threshold: float = 0.3
+    floor: float = 0.05
+
+    def warp(self, maps: Float[Tensor, "*n C H W"], ego_T_sender: Float[Tensor, "*n 3"]) -> Float[Tensor, "*n C H W"]:
+        """See `cp_env.detector.model.warp`: bilinear; whole cells copied, zeros outside the sender's map."""
+        return warp.warp(maps, ego_T_sender, self.extent)
+
+    def coverage(self, ego_T_sender: Float[Tensor, "*n 3"]) -> Float[Tensor, "*n H W"]:
+        """1 in those cells of the ego's map that the sender's map covers, else 0."""
+        return warp.coverage(ego_T_sender, self.size, self.extent)
+
+    def detect(self, dense: Dense, own: Float[np.ndarray, "B 2"] | None = None) -> list[Detections]:
+        """The boxes of each view, best first, down to `floor`, without overlaps and without the ego itself.
+
+        `own` is where the ego stands in its grid frame in each view, m; at the origin by default.
+        """
+        scores, boxes = (array.cpu().numpy() for array in peaks(dense, self.floor, self.extent, MOST_BOXES))
+        centre = boxes[..., :2]
+        apart = np.linalg.norm(centre - (0.0 if own is None else own[:, None]), axis=-1) > OWN_RADIUS
+        valid = (scores > 0) & apart & (np.abs(centre) <= self.extent).all(axis=-1)
+        boxes, scores, views = boxes[valid], scores[valid], np.nonzero(valid)[0]
+        stay = nms_batch(boxes, scores, views, NMS_IOU)
+        ends = np.searchsorted(views[stay], np.arange(len(dense.logits) + 1))
+        return [Detections(boxes[stay[a:b]], scores[stay[a:b]]) for a, b in pairwise(ends)]
+
+    def freeze(self) -> BaseDetector:
+        """Make this the victim: evaluation mode, no gradients to weights."""
+        return self.eval().requires_grad_(False)
+
+    @property
+    def device(self) -> torch.device:
+        """Where its weights and buffers are; the CPU if it has none."""
+        first = next(chain(self.parameters(), self.buffers()), None)
+        return torch.device("cpu") if first is None else first.device
+
+    @property
+    def digest(self) -> str:
+        """A fingerprint of the class's name, the thresholds, and all weights and buffers."""
+        name = f"{type(self).__module__}.{type(self).__qualname__}"
+        return fingerprint(self, f"{name} {self.size} {self.extent} {self.floor} {self.threshold}")

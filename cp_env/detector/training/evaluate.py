@@ -1,0 +1,231 @@
+"""How well a detector sees, nobody lying: `python -m cp_env.detector.training.evaluate --scenes town/test`.
+
+AP of the first vehicles of every scene, fused in groups of growing size around the ego, vehicle 0 (strict, unless
+`--protocol` says otherwise); the Jaccard similarity of consecutive frames, the ego's motion taken out; and how large
+the shared features are, against which an attack's budget is to be judged.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+import tyro
+from jaxtyping import Float
+from rich.console import Console
+from rich.table import Table
+from tqdm import tqdm
+
+from cp_env.detector.model.detector import Detector
+from cp_env.detector.model.weights import about, load_detector, read_detector, save_detector
+from cp_env.detector.training.data import RETURNS_SEEN
+from cp_env.geometry.planar import grid_origin
+from cp_env.lidar.returns import returns_of
+from cp_env.metrics.average_precision import ApMeter
+from cp_env.metrics.ground_truth import rows_in_range, truth_boxes
+from cp_env.metrics.similarity import view_similarity_many
+from cp_env.scenes import open_source
+from cp_env.types import Detections, Scene, SceneSource, Sweep, View
+
+CHUNK = 5  # frames encoded together
+GRID = tuple(np.round(np.arange(0.1, 0.71, 0.025), 3))  # operating thresholds tried
+
+_NO_MAP = np.zeros((0, 0), dtype=np.float32)
+
+
+@dataclass(frozen=True)
+class Args:
+    """What is measured."""
+
+    scenes: str = "town/test"
+    weights: Path | None = None  # a file; by default the weights that ship
+    n_vehicles: int = 5
+    frames: int = 100  # of each scene, from its first on
+    limit: int | None = None  # so many scenes only
+    protocol: str = "strict"  # how AP is counted: "strict" or "coperception" (see `cp_env.metrics.average_precision`)
+    calibrate: bool = False  # choose the operating threshold on these scenes and write it into `weights`
+    json: Path | None = None  # where to write the figures too
+    device: str = "cpu"  # as torch spells it
+    threads: int = 1
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """One frame: what groups of 1 … n vehicles detect (the ego first), and what is there."""
+
+    scene: str
+    origin: Float[np.ndarray, " 2"]
+    detections: list[Detections]
+    truth: Float[np.ndarray, "L 5"]
+    n_visible: int  # vehicles in range of which the n sensors together have returns enough
+    magnitude: tuple[float, float]  # of the ego's shared map: mean, 99th percentile
+
+
+@dataclass(frozen=True)
+class Report:
+    """Clean figures of a detector. AP by group size, the ego always in the group."""
+
+    n_frames: int
+    ap50: tuple[float, ...]
+    ap70: tuple[float, ...]
+    jaccard: float  # of consecutive frames, everyone fused, at the operating threshold
+    precision: float  # at the operating threshold, IoU 0.5
+    recall: float
+    threshold: float
+    protocol: str  # of AP
+    visible: float  # share of the truth that could be seen at all
+    mean: float  # of the shared maps
+    high: float  # their 99th percentile
+
+
+def watch(detector: Detector, source: SceneSource, args: Args) -> Iterator[Seen]:
+    """Every frame of every scene, in order."""
+    names = source.names()[: args.limit]
+    for name in tqdm(names, desc=f"evaluating {source.name}", unit="scene"):
+        scene = source.load(name)
+        if scene.n_connected < args.n_vehicles:
+            raise ValueError(
+                f"scene {name} holds {scene.n_connected} connected vehicles, not {args.n_vehicles}; ask for fewer"
+            )
+        frames = range(min(args.frames, scene.n_frames))
+        for start in range(0, len(frames), CHUNK):
+            part = frames[start : start + CHUNK]
+            for frame, sweeps in zip(part, source.sweeps(scene, part), strict=True):
+                yield look(detector, scene, frame, sweeps[: args.n_vehicles])
+
+
+@torch.no_grad()
+def look(detector: Detector, scene: Scene, frame: int, sweeps: Sequence[Sweep]) -> Seen:
+    """One frame through the whole detector; the first sweep is the ego's."""
+    n = len(sweeps)
+    maps = detector.encode(sweeps)
+    sensors = np.stack([sweep.origin[:2] for sweep in sweeps])
+    origin = grid_origin(sensors)
+    shift = np.pad(origin - origin[0], ((0, 0), (0, 1))).astype(np.float32)
+    pose = torch.from_numpy(shift).to(detector.device)
+    received, coverage = detector.warp(maps, pose), detector.coverage(pose)
+    groups = torch.ones(n, n, dtype=torch.bool, device=detector.device).tril()
+    world = torch.zeros(n, dtype=torch.long, device=detector.device)
+    dense = detector.perceive(received[None], coverage[None], world, groups)
+    ego = int(scene.connected[0])
+    rows = rows_in_range(scene, frame, ego, detector.extent)
+    returns = sum(returns_of(scene, frame, sweep)[rows] for sweep in sweeps)
+    return Seen(
+        scene.name,
+        origin[0],
+        detector.detect(dense, np.repeat(sensors[:1] - origin[:1], n, axis=0)),
+        truth_boxes(scene, frame, ego, detector.extent),
+        int(np.sum(returns >= RETURNS_SEEN)),
+        (float(maps[0].mean()), float(maps[0].flatten().quantile(0.99))),
+    )
+
+
+def jaccard(seen: Sequence[Seen], threshold: float) -> float:
+    """Mean similarity of consecutive frames of the same scene, everyone fused."""
+    everyone = [frame.detections[-1] for frame in seen]
+    views = [
+        View(frozenset(), t, frame.origin, found, found.above(threshold), _NO_MAP)
+        for t, (frame, found) in enumerate(zip(seen, everyone, strict=True))
+    ]
+    pairs = [(views[t - 1], views[t]) for t in range(1, len(seen)) if seen[t - 1].scene == seen[t].scene]
+    return float(view_similarity_many(pairs).mean()) if pairs else float("nan")
+
+
+def precision_recall(meter: ApMeter, threshold: float) -> tuple[float, float]:
+    """At IoU 0.5 and a score threshold."""
+    scores, hits = meter.matched(0.5)
+    found = scores >= threshold
+    return float(hits[found].sum() / max(found.sum(), 1)), float(hits[found].sum() / max(meter.n_truth, 1))
+
+
+def meters(seen: Sequence[Seen], protocol: str = "strict") -> list[ApMeter]:
+    """One for each group size."""
+    filled = [ApMeter((0.5, 0.7), protocol) for _ in seen[0].detections]
+    for frame in seen:
+        for meter, detections in zip(filled, frame.detections, strict=True):
+            meter.add(detections, frame.truth)
+    return filled
+
+
+def report(seen: Sequence[Seen], threshold: float, protocol: str = "strict") -> Report:
+    """All figures of the frames; precision and recall are strict."""
+    by_size = meters(seen, protocol)
+    precision, recall = precision_recall(meters(seen)[-1], threshold)
+    mean, high = np.mean([frame.magnitude for frame in seen], axis=0)
+    return Report(
+        n_frames=len(seen),
+        ap50=tuple(meter.value(0.5) for meter in by_size),
+        ap70=tuple(meter.value(0.7) for meter in by_size),
+        jaccard=jaccard(seen, threshold),
+        precision=precision,
+        recall=recall,
+        threshold=threshold,
+        protocol=protocol,
+        visible=sum(frame.n_visible for frame in seen) / max(sum(len(frame.truth) for frame in seen), 1),
+        mean=float(mean),
+        high=float(high),
+    )
+
+
+def calibrate(seen: Sequence[Seen]) -> float:
+    """The operating threshold of largest F1 x Jaccard of consecutive frames: boxes that are right, and stay."""
+    full = meters(seen)[-1]
+
+    def worth(threshold: float) -> float:
+        precision, recall = precision_recall(full, threshold)
+        return 2 * precision * recall / max(precision + recall, 1e-9) * jaccard(seen, threshold)
+
+    return float(max(GRID, key=worth))
+
+
+def table(result: Report) -> Table:
+    """The figures for the screen."""
+    grid = Table(title=f"nobody lying, {result.n_frames} frames, {result.protocol} AP")
+    grid.add_column("vehicles fused")
+    grid.add_column("AP@0.5")
+    grid.add_column("AP@0.7")
+    for size, (ap50, ap70) in enumerate(zip(result.ap50, result.ap70, strict=True), start=1):
+        grid.add_row(str(size) if size > 1 else "1 (ego)", f"{ap50:.3f}", f"{ap70:.3f}")
+    return grid
+
+
+def remarks(result: Report) -> str:
+    """The other figures, in a sentence."""
+    return (
+        f"consecutive frames: Jaccard {result.jaccard:.3f} at threshold {result.threshold:.3f} (precision "
+        f"{result.precision:.3f}, recall {result.recall:.3f}); visible to anyone: {result.visible:.3f} of the truth; "
+        f"shared maps: mean {result.mean:.2f}, 99th percentile {result.high:.2f}"
+    )
+
+
+def main(args: Args) -> None:
+    """Measure, or calibrate and measure."""
+    torch.set_num_threads(args.threads)
+    source = open_source(args.scenes)
+    if args.weights is None:
+        detector = load_detector(device=args.device)
+    else:
+        detector = read_detector(args.weights).to(args.device).freeze()
+    seen = list(watch(detector, source, args))
+    threshold = detector.threshold
+    if args.calibrate:
+        if args.weights is None:
+            raise ValueError("calibration writes into the weights: name the file with --weights")
+        threshold = calibrate(seen)
+        trained = read_detector(args.weights)
+        trained.threshold = threshold
+        save_detector(trained, args.weights, **{**about(args.weights), "calibrated": args.scenes})
+    result = report(seen, threshold, args.protocol)
+    console = Console(width=120)
+    console.print(table(result))
+    console.print(remarks(result), highlight=False)
+    if args.json is not None:
+        args.json.write_text(json.dumps(asdict(result), indent=2) + "\n")
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Args, description=__doc__))

@@ -1,0 +1,216 @@
+"""Trains detectors on random groups: `python -m cp_env.detector.training.train`.
+
+With no more words, f_E and f_D together, their maps fused by the mean. From those come, in some minutes each, the other
+fusions with a decoder of their own behind the same encoder, whose maps are kept on disk:
+
+    W=cp_env/detector/model/weights
+    python -m cp_env.detector.training.train --fusion max --encoder $W/mean.safetensors --out runs/max
+
+DiscoNet learns from a teacher that fuses points:
+
+    python -m cp_env.detector.training.train --early --init $W/mean.safetensors --out runs/teacher
+    python -m cp_env.detector.training.train --fusion disconet --encoder $W/mean.safetensors \\
+        --teacher runs/teacher/early.safetensors --out runs/disconet
+
+Kill it whenever you like: it goes on from its last checkpoint, and ends with the weights it would have had, because
+batches come from (seed, step) alone. The weights still need their operating threshold, which
+
+    python -m cp_env.detector.training.evaluate --scenes town/calibration --weights runs/max/max.safetensors --calibrate
+
+chooses and writes into them.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+import math
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+import tyro
+from tqdm import trange
+
+from cp_env.detector.model.detector import Detector
+from cp_env.detector.model.weights import read_detector, save_detector
+from cp_env.detector.training.data import Batch, Footage, draw, encode, prepare
+from cp_env.detector.training.distillation import divergence, early_fusion, features, teach
+from cp_env.detector.training.loss import detection_loss
+from cp_env.scenes import open_source
+from cp_env.types import SceneSource
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Args:
+    """What a training run depends on."""
+
+    fusion: str = "mean"
+    out: Path = Path("runs/detector")  # checkpoint, loss curve, weights
+    scenes: str = "town/train"
+    stride: int = 2  # of the frames of each scene, one in so many
+    steps: int = 2500
+    frames: int = 6  # a step
+    egos: int = 2  # centres a frame
+    views: int = 4  # groups a centre
+    agents: int = 5  # sensors a frame
+    learning_rate: float = 3e-3  # at its highest: one cycle
+    weight_decay: float = 1e-2
+    init: Path | None = None  # weights to start from; by default random ones
+    encoder: Path | None = None  # weights whose encoder stays as it is and whose decoder is started from
+    teacher: Path | None = None  # weights of an early-fusion detector to learn from
+    distillation: float = 10.0  # weight of what is learned of it
+    early: bool = False  # fuse points, not maps: train a teacher
+    seed: int = 0
+    device: str = "cpu"  # as torch spells it; a run may go on on another
+    threads: int = 2
+    checkpoint_every: int = 100
+    cache: Path | None = None  # of the rasterised sweeps and their maps; by default in the user's cache directory
+
+    def __post_init__(self) -> None:
+        if self.encoder and (self.init or self.early):
+            raise ValueError("--encoder keeps an encoder as it is, --init and --early train it: choose one")
+        if self.early and self.fusion != "mean":
+            raise ValueError(f"--early fuses no maps: leave --fusion at mean, not {self.fusion}")
+
+
+def batch_loss(
+    detector: Detector, batch: Batch, *, early: bool = False, teacher: Detector | None = None, weight: float = 0.0
+) -> torch.Tensor:
+    """L_det of all views of a batch: encode every sweep once, warp to every ego, fuse and decode every group.
+
+    `early`: fuse the sweeps instead, encode and decode every group. With a teacher, its L_KD is added, times `weight`.
+    """
+    if early:
+        fused = detector.encode_grids(early_fusion(batch, detector.extent))
+    else:
+        maps = (detector.encode_grids(batch.occupancy) if batch.maps is None else batch.maps)[batch.agent]
+        received = detector.warp(maps, batch.ego_T_sender)
+        fused = detector.fuse(received, detector.coverage(batch.ego_T_sender), batch.world, batch.groups)
+    if teacher is None:
+        return detection_loss(detector.decode(fused), batch.targets)
+    dense, known = features(detector, fused)
+    return detection_loss(dense, batch.targets) + weight * divergence(known, teach(teacher, batch))
+
+
+def learning_rate(step: int, args: Args) -> float:
+    """One cycle: a rise over the first tenth, then a cosine down to a thousandth."""
+    rise = max(args.steps // 10, 1)
+    if step < rise:
+        return args.learning_rate * (step + 1) / rise
+    return args.learning_rate * max(0.5 * (1 + math.cos(math.pi * (step - rise) / max(args.steps - rise, 1))), 1e-3)
+
+
+def begin(args: Args) -> Detector:
+    """The detector before its first step."""
+    with torch.random.fork_rng(devices=[]):  # torch's layers draw their first weights from the global generator
+        torch.manual_seed(args.seed)
+        if args.encoder is None and args.init is None:
+            return Detector(fusion=args.fusion)
+        if args.init is not None:
+            detector = read_detector(args.init)
+            if detector.fusion != args.fusion:
+                raise ValueError(
+                    f"{args.init} fuses by {detector.fusion}, not {args.fusion}: name it, or use --encoder"
+                )
+            return detector
+        known = read_detector(Path(str(args.encoder)))
+        detector = Detector(fusion=args.fusion, channels=known.channels, threshold=known.threshold)
+        detector.encoder.load_state_dict(known.encoder.state_dict())
+        detector.decoder.load_state_dict(known.decoder.state_dict())
+        detector.encoder.requires_grad_(False)
+        return detector
+
+
+def train(args: Args, footage: list[Footage]) -> Detector:
+    """Train, or go on training, until `args.steps`; checkpoints in `args.out`."""
+    torch.set_num_threads(args.threads)
+    detector = begin(args).to(args.device)
+    teacher = None if args.teacher is None else read_detector(args.teacher).to(args.device).eval().requires_grad_(False)
+    optimizer = torch.optim.AdamW([p for p in detector.parameters() if p.requires_grad], weight_decay=args.weight_decay)
+    args.out.mkdir(parents=True, exist_ok=True)
+    checkpoint = args.out / "checkpoint.pt"
+    first = _resume(checkpoint, detector, optimizer)
+    detector.train()
+    detector.encoder.train(args.encoder is None)
+    smooth = 0.0
+    for step in (bar := trange(first, args.steps, initial=first, total=args.steps, desc="training", mininterval=5)):
+        batch = draw(
+            footage,
+            np.random.default_rng([args.seed, step]),
+            frames=args.frames,
+            egos=args.egos,
+            views=args.views,
+            agents=args.agents,
+        ).to(args.device)
+        for group in optimizer.param_groups:
+            group["lr"] = learning_rate(step, args)
+        optimizer.zero_grad()
+        loss = batch_loss(detector, batch, early=args.early, teacher=teacher, weight=args.distillation)
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(detector.parameters(), 10.0)
+        optimizer.step()
+        smooth = loss.item() if step == first else 0.98 * smooth + 0.02 * loss.item()
+        bar.set_postfix(loss=f"{smooth:.3f}", refresh=False)
+        if (step + 1) % args.checkpoint_every == 0 or step + 1 == args.steps:
+            _checkpoint(checkpoint, detector, optimizer, step + 1)
+            with (args.out / "loss.jsonl").open("a") as curve:
+                curve.write(json.dumps({"step": step + 1, "loss": round(smooth, 4)}) + "\n")
+    return detector
+
+
+def _checkpoint(path: Path, detector: Detector, optimizer: torch.optim.Optimizer, step: int) -> None:
+    partial = path.with_suffix(".part")
+    learned = optimizer.state_dict()
+    learned["state"] = {key: _on_cpu(moments) for key, moments in learned["state"].items()}
+    torch.save({"model": _on_cpu(detector.state_dict()), "optimizer": learned, "step": step}, partial)
+    partial.rename(path)
+
+
+def _on_cpu(state: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+    return {name: tensor.cpu() for name, tensor in state.items()}
+
+
+def _resume(path: Path, detector: Detector, optimizer: torch.optim.Optimizer) -> int:
+    """The step to go on with."""
+    if not path.exists():
+        return 0
+    state = torch.load(path, weights_only=True)
+    detector.load_state_dict(state["model"])
+    optimizer.load_state_dict(state["optimizer"])
+    log.info("going on from step %d of %s", state["step"], path)
+    return int(state["step"])
+
+
+def load(args: Args, source: SceneSource) -> list[Footage]:
+    """The footage, with the maps of the encoder if it stays as it is."""
+    import platformdirs
+
+    cache = args.cache or Path(platformdirs.user_cache_dir("cp_env")) / "training"
+    footage = prepare(source, cache, stride=args.stride)
+    if args.encoder is None:
+        return footage
+    detector = read_detector(args.encoder).to(args.device)
+    key = hashlib.sha256(f"{source.digest} {args.stride} {detector.maps_digest}".encode()).hexdigest()[:16]
+    return encode(footage, detector, cache / f"maps-{key}")
+
+
+def main(args: Args) -> None:
+    """Prepare the sweeps, train, write the weights."""
+    logging.basicConfig(level=logging.INFO, format="%(message)s")
+    torch.set_num_threads(args.threads)
+    source = open_source(args.scenes)
+    detector = train(args, load(args, source))
+    settings = {
+        key: str(value) for key, value in asdict(args).items() if key not in ("out", "cache", "threads", "device")
+    }
+    name = "early" if args.early else args.fusion
+    save_detector(detector, args.out / f"{name}.safetensors", trained={**settings, "source": source.digest})
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Args, description=__doc__))

@@ -1,0 +1,1 @@
+"""The environments: PettingZoo parallel, Gymnasium single and vectorised, all over one `World`."""

@@ -1,0 +1,135 @@
+"""The multi-agent environment (PettingZoo `ParallelEnv`): one world of the batched `Game`, one agent per slot."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+from typing import Any, ClassVar
+
+import numpy as np
+from gymnasium import Space
+from gymnasium.error import ResetNeeded
+from gymnasium.spaces import Box
+from jaxtyping import Float
+from numpy.typing import NDArray
+from pettingzoo import ParallelEnv
+
+from cp_env.envs.core import Game
+from cp_env.envs.joint import Observation, world
+from cp_env.envs.observation import LARGEST
+from cp_env.envs.render_mixin import RENDER_FPS, RENDER_MODES, Pictured
+from cp_env.world.verification import DefenderError
+from defenders.protocol import Defender
+
+Infos = dict[str, dict[str, int | float]]
+
+
+def raise_failure(game: Game) -> None:
+    """DefenderError if the defender of a game of one world failed in the last step."""
+    (error,) = game.errors
+    if error is not None:
+        raise DefenderError(error)
+
+
+class CollaborativePerceptionEnv(Pictured, ParallelEnv[str, Observation, NDArray[Any]]):
+    """Agents are slots: `agents` is `possible_agents` from reset to the last frame, and empty when the episode is over.
+
+    `cp_env.parallel_env` documents the knobs. `reset(options=...)` hands its options to `Game.reset`.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {
+        "name": "collaborative_perception_v0",
+        "render_modes": list(RENDER_MODES),
+        "render_fps": RENDER_FPS,
+        "is_parallelizable": True,
+    }
+
+    def __init__(
+        self,
+        defender: str | Defender | Callable[[], Defender] = "prbi",
+        *,
+        render_mode: str | None = None,
+        **knobs: Any,
+    ) -> None:
+        self.show(Game(1, defender, **knobs), render_mode)
+        self.possible_agents: list[str] = list(self.game.slots)
+        self.agents: list[str] = []
+        detector = self.game.world.detector
+        shape = (self.game.settings.n_maps, detector.channels, detector.size, detector.size)
+        self.state_space = Box(-LARGEST, LARGEST, shape, np.float32)
+        names = self.possible_agents
+        self._observation_spaces = {name: copy.deepcopy(self.game.single_observation_space) for name in names}
+        self._action_spaces = {name: copy.deepcopy(self.game.single_action_space) for name in names}
+
+    def observation_space(self, agent: str) -> Space[Any]:
+        """What this agent sees: always the same object. ValueError for an unknown name."""
+        return self._observation_spaces[self._known(agent)]
+
+    def action_space(self, agent: str) -> Space[Any]:
+        """What this agent may do, a Box in [-1, 1]: always the same object. ValueError for an unknown name."""
+        return self._action_spaces[self._known(agent)]
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Observation], Infos]:
+        """Begin an episode. With a seed the stream of episodes begins anew; without one it goes on."""
+        observations, infos = self.game.reset([seed], options=options)
+        self.agents = self.possible_agents[:]
+        self._follow()
+        return self._by_agent(observations), self._numbers(infos)
+
+    def step(
+        self, actions: dict[str, Any]
+    ) -> tuple[dict[str, Observation], dict[str, float], dict[str, bool], dict[str, bool], Infos]:
+        """One frame: every agent perturbs, the defender inspects, the ego drives on. The time limit is a truncation.
+
+        ValueError if an action is missing, too many, of the wrong shape or not finite; outside [-1, 1] it is clipped.
+        DefenderError if the defender fails: the episode is over, the environment may be reset.
+        """
+        if not self.agents:
+            raise ResetNeeded("the episode is over (or never began): call reset() before step()")
+        observations, reward, truncated, infos = self.game.step(self._stack(actions)[None])
+        names, over = self.possible_agents, bool(truncated[0])
+        if over:
+            self.agents = []
+        raise_failure(self.game)
+        self._follow()
+        return (
+            self._by_agent(observations),
+            {name: float(reward[0, slot]) for slot, name in enumerate(names)},
+            dict.fromkeys(names, False),
+            dict.fromkeys(names, over),
+            self._numbers(infos),
+        )
+
+    def state(self) -> Float[np.ndarray, "N C H W"]:
+        """Every vehicle's encoded map in its own grid frame, for centralised critics and joint attackers."""
+        return self.game.state(0).copy()
+
+    def _known(self, agent: str) -> str:
+        if agent not in self._action_spaces:
+            raise ValueError(f"no agent {agent!r}; the agents are {self.possible_agents}")
+        return agent
+
+    def _stack(self, actions: dict[str, Any]) -> NDArray[Any]:
+        for name in actions:
+            self._known(name)
+        missing = [name for name in self.possible_agents if name not in actions]
+        if missing:
+            raise ValueError(f"step() needs an action of every agent; none was given for {missing}")
+        rows = [np.asarray(actions[name], dtype=np.float32) for name in self.possible_agents]
+        shape = self.game.single_action_space.shape
+        for name, row in zip(self.possible_agents, rows, strict=True):
+            if row.shape != shape:
+                raise ValueError(f"the action of {name!r} must have shape {shape}, got {row.shape}")
+        return np.stack(rows)
+
+    def _by_agent(self, observations: Observation) -> dict[str, Observation]:
+        slots = world(observations, 0)
+        return {name: world(slots, slot) for slot, name in enumerate(self.possible_agents)}
+
+    def _numbers(self, infos: dict[str, NDArray[Any]]) -> Infos:
+        return {
+            name: {key: values[0, slot].item() for key, values in infos.items()}
+            for slot, name in enumerate(self.possible_agents)
+        }

@@ -1,0 +1,42 @@
+"""Rewards: small pure objects, shared by the team of liars. Each gives one number a world from the frame's outcome."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from jaxtyping import Float
+
+from cp_env.metrics.average_precision import average_precision
+from cp_env.settings import REWARDS, choose
+from cp_env.world.situation import Outcome
+
+Reward = Callable[[Outcome], Float[np.ndarray, " E"]]
+
+
+def damage(outcome: Outcome) -> Float[np.ndarray, " E"]:
+    """1 - Jaccard between what the ego saw and what it would have seen unattacked, in [0, 1]."""
+    return outcome.damage
+
+
+def ap_drop(outcome: Outcome) -> Float[np.ndarray, " E"]:
+    """AP@0.5 of this frame that the output lost against the clean view, in [-1, 1]; negative where the lie helped."""
+    drops = [
+        average_precision([clean.detections], [truth], 0.5) - average_precision([output.detections], [truth], 0.5)
+        for clean, output, truth in zip(outcome.clean, outcome.output, outcome.truth, strict=True)
+    ]
+    return np.array(drops, dtype=np.float32)
+
+
+def stealth(outcome: Outcome) -> Float[np.ndarray, " E"]:
+    """Damage while no alarm is raised: 0 in a frame in which anyone is suspected."""
+    quiet = np.array([not verdict.suspects for verdict in outcome.verdicts], dtype=np.float32)
+    return outcome.damage * quiet
+
+
+_REWARDS: dict[str, Reward] = {"damage": damage, "ap_drop": ap_drop, "stealth": stealth}
+
+
+def make_reward(reward: str | Reward) -> Reward:
+    """The reward called by that name, or a user's own callable as it is."""
+    return reward if callable(reward) else _REWARDS[choose("reward", reward, REWARDS)]

@@ -1,0 +1,71 @@
+"""The single-agent view (gymnasium `Env`): one joint adversary drives all the liars of one world."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from gymnasium import Env
+from gymnasium.error import ResetNeeded
+from numpy.typing import NDArray
+
+from cp_env.envs.core import Game
+from cp_env.envs.joint import Observation, join, joint_space, split, world
+from cp_env.envs.parallel import raise_failure
+from cp_env.envs.render_mixin import RENDER_FPS, RENDER_MODES, Pictured
+from defenders.protocol import Defender
+
+
+class JointAdversaryEnv(Pictured, Env[Any, NDArray[Any]]):
+    """One world, one adversary, who drives all its liars and is paid the mean of their rewards.
+
+    A liar's action and observation lie end to end along their first axis: actions (A,) of k liars make one (k·A,).
+    Knobs as in `cp_env.parallel_env`, without `slots`; `observation` is "compact", what RL libraries learn on, unless
+    said otherwise. An info holds one array of k numbers for every key.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": RENDER_FPS}  # noqa: RUF012
+
+    def __init__(
+        self,
+        defender: str | Defender | Callable[[], Defender] = "prbi",
+        *,
+        observation: Any = "compact",
+        render_mode: str | None = None,
+        **knobs: Any,
+    ) -> None:
+        self.show(Game(1, defender, observation=observation, slots="adversaries", **knobs), render_mode)
+        self.n_slots = len(self.game.slots)
+        self.observation_space = joint_space(self.game.single_observation_space, self.n_slots)
+        self.action_space = joint_space(self.game.single_action_space, self.n_slots)
+        self._running = False
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Begin an episode. With a seed the stream of episodes begins anew; without one it goes on."""
+        super().reset(seed=seed)  # gymnasium's own generator; the world draws from the game's
+        observations, infos = self.game.reset([seed], options=options)
+        self._running = True
+        self._follow()
+        return world(join(observations), 0), {key: values[0].copy() for key, values in infos.items()}
+
+    def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """One frame. Nothing ever terminates; the time limit truncates.
+
+        ValueError for a wrong shape or numbers that are not finite; outside [-1, 1] they are clipped.
+        DefenderError if the defender fails: the episode is over, the environment may be reset.
+        """
+        if not self._running:
+            raise ResetNeeded("the episode is over (or never began): call reset() before step()")
+        if np.shape(action) != self.action_space.shape:
+            raise ValueError(f"the action must have shape {self.action_space.shape}, got {np.shape(action)}")
+        batch = np.asarray(action, dtype=np.float32)[None]
+        observations, reward, truncated, infos = self.game.step(split(batch, self.n_slots))
+        over = bool(truncated[0])
+        self._running = not over
+        raise_failure(self.game)
+        self._follow()
+        info = {key: values[0].copy() for key, values in infos.items()}
+        return world(join(observations), 0), float(reward[0].mean(dtype=np.float64)), False, over, info

@@ -1,0 +1,1 @@
+"""How an evaluation is played: one process, several, or a Ray cluster."""

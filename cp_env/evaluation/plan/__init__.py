@@ -1,0 +1,1 @@
+"""What an evaluation plays, and what is stored of it."""

@@ -1,0 +1,136 @@
+"""The arena's pictures, as SVG. A colour is one defender and a marker one attack, in all of them.
+
+No window, no global state of matplotlib, no date in the file: the same figures give the same bytes.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from cp_env.evaluation.analysis.curves import AXES, Curve
+from cp_env.evaluation.analysis.summary import Row
+from cp_env.evaluation.analysis.worst_case import Standing
+from cp_env.evaluation.plan.runs import NOBODY
+from cp_env.metrics.intervals import Interval
+
+MARKERS = "osD^vP*X<>pHd84hx+123"
+STYLE: dict[Any, Any] = {
+    "text.parse_math": False,  # names are shown as they are
+    "svg.hashsalt": "cp_env",
+    "font.size": 10,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.color": "#e3e6ea",
+    "axes.axisbelow": True,
+    "legend.frameon": False,
+}
+Colours = Mapping[str, tuple[float, float, float]]
+
+
+def colours_of(defenders: Sequence[str]) -> Colours:
+    """One colour each: ten that are told apart easily, then steps of a wheel."""
+    few = matplotlib.colormaps["tab10"].colors  # type: ignore[attr-defined]
+    wheel = matplotlib.colormaps["hsv"](np.linspace(0, 1, len(defenders), endpoint=False))[:, :3]
+    chosen = few if len(defenders) <= len(few) else [tuple(row) for row in wheel]
+    return dict(zip(defenders, chosen, strict=False))
+
+
+def trade_off(rows: Sequence[Row], colours: Colours) -> str:
+    """What a defence keeps (AP) against what it lets through (damage) and what it costs (verifications): means."""
+    attacks = list(dict.fromkeys(row.attack for row in rows))
+    markers = {attack: MARKERS[i % len(MARKERS)] for i, attack in enumerate(attacks)}
+    with matplotlib.rc_context(STYLE):
+        figure = _figure(11, 5.2)
+        left, right = figure.subplots(1, 2, sharey=True)
+        for row in rows:
+            for axis, x in ((left, row.damage), (right, row.verifications)):
+                style = {"color": colours[row.defender], "marker": markers[row.attack], "ms": 7, "alpha": 0.8}
+                axis.plot(x.mean, row.ap50.mean, ls="none", **style)
+        left.set(ylim=(-0.02, 1.02), xlabel="damage (1 − Jaccard), summed over an episode", ylabel="AP@0.5")
+        right.set(xlabel="verifications a frame")
+        for name, colour in colours.items():
+            left.plot([], [], "o", color=colour, label=name)
+        for attack, marker in markers.items():
+            right.plot([], [], marker, color="#555", label="nobody lies" if attack == NOBODY else attack)
+        _legend_below(figure, left, "defenders", "outside lower left")
+        _legend_below(figure, right, "attacks", "outside lower right")
+        return _svg(figure)
+
+
+def bars(standings: Sequence[Standing], colours: Colours | None, xlabel: str) -> str:
+    """Worst cases, best on top, with their intervals; the damage left, AP@0.5 right."""
+    names = [standing.entry for standing in standings]
+    shades = ["#5b6b7f" if colours is None else colours[name] for name in names]
+    with matplotlib.rc_context(STYLE):
+        figure = _figure(11, 1.2 + 0.34 * len(names))
+        axes = figure.subplots(1, 2, sharey=True)
+        for axis, figures, label in (
+            (axes[0], [s.damage for s in standings], f"damage a frame, {xlabel}"),
+            (axes[1], [s.ap50 for s in standings], f"AP@0.5 of a scene, {xlabel}"),
+        ):
+            axis.barh(names, [f.mean for f in figures], xerr=_reach(figures), color=shades, capsize=3, height=0.7)
+            axis.set(xlim=(0, 1), xlabel=label)
+            axis.grid(axis="y", visible=False)
+        axes[0].invert_yaxis()
+        return _svg(figure)
+
+
+def lines(curve: Curve, colours: Colours) -> str:
+    """The worst case along an axis: damage left, AP@0.5 right, one line a defender, dodged where they would hide."""
+    with matplotlib.rc_context(STYLE):
+        figure = _figure(11, 4.6)
+        axes = figure.subplots(1, 2)
+        named = isinstance(curve.values[0], str)
+        x = np.arange(len(curve.values)) if named else np.array(curve.values, dtype=float)
+        step = float(np.diff(x).min()) if len(x) > 1 else 1.0
+        for axis, figures, label in ((axes[0], curve.damage, "damage a frame"), (axes[1], curve.ap50, "AP@0.5")):
+            for number, (name, along) in enumerate(figures.items()):
+                dodge = (number - (len(figures) - 1) / 2) * 0.035 * step
+                axis.errorbar(
+                    x + dodge,
+                    [f.mean for f in along],
+                    _reach(along),
+                    color=colours[name],
+                    marker="o",
+                    ls="none" if named else "-",
+                    ms=4,
+                    capsize=2,
+                    elinewidth=0.8,
+                    label=name,
+                )
+            axis.set(ylim=(-0.02, 1.02), xlabel=AXES[curve.axis], ylabel=f"{label}, worst attack of each scene")
+            axis.set_xticks(x, [str(value) for value in curve.values])
+        _legend_below(figure, axes[0], "defenders", "outside lower center")
+        return _svg(figure)
+
+
+def _figure(width: float, height: float) -> Figure:
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def _legend_below(figure: Figure, axis: Axes, title: str, where: Any) -> None:
+    handles, labels = axis.get_legend_handles_labels()
+    columns = 4 if "center" in where else 2
+    figure.legend(handles, labels, title=title, loc=where, ncols=columns, fontsize="small", alignment="left")
+
+
+def _reach(figures: Sequence[Interval]) -> np.ndarray:
+    """How far the intervals reach below and above their means."""
+    return np.array([[f.mean - f.low for f in figures], [f.high - f.mean for f in figures]]).clip(0)
+
+
+def _svg(figure: Figure) -> str:
+    buffer = io.StringIO()
+    figure.savefig(buffer, format="svg", metadata={"Date": None})
+    return buffer.getvalue()

@@ -1,0 +1,1 @@
+"""Oriented boxes, planar transforms, and rigid transforms in space."""

@@ -1,0 +1,1 @@
+"""Perturbations of shared maps: the channel that bounds them, and the loss that attacks ascend."""

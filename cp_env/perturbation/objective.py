@@ -1,0 +1,158 @@
+"""What liars maximise: our reading of L_det in the paper's attack, max over δ of Σ L_det(d, d'), PRBI Eq. (2).
+
+The paper is silent on L_det and on d'. The attack here is untargeted: d is the decoder's own clean output (a liar knows
+no ground truth), and the loss is a sum of three, each divided by the number of vehicles the ego would have seen, each
+zero when nothing changed:
+
+    hide   logits fall on object cells, the cells in which the clean output sees a vehicle;
+    spoof  logits rise elsewhere, softly counted once for every block of the size of a car, so that the many easy
+           background cells do not win over the few that can become a ghost, and ghosts come out apart from each other;
+    drift  boxes move on object cells: L1 of the regression.
+
+Logits stop counting `MARGIN` beyond the middle: what is already hidden or already a ghost takes no more of the budget
+(the hinge of Carlini and Wagner). Up to there a hidden object counts in logits, not in nats, whose gradient would
+vanish on the objects that the detector is surest of.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+from torch.nn import functional
+
+from cp_env.detector.model.decoder import Dense
+from cp_env.detector.model.detector import Detector
+from cp_env.detector.protocol import DetectorLike
+from cp_env.perturbation.channel import inject
+
+OBJECT_PROBABILITY = 0.2
+"""Cells whose clean probability is at least this are object cells, weighted by it."""
+
+MARGIN = 3.0
+"""Logit beyond which a hidden object or a ghost is as good as it gets."""
+
+BLOCK = 4
+"""Side of a spoofing block in score-map cells; about one car."""
+
+REACH = 2.0
+"""Drift of a box component (m, log m or unit vector) beyond which it counts no more: no overlap is left."""
+
+STILL = 1e-4
+"""Drift of a box component below which it has not moved. An unperturbed view differs from the clean one by rounding
+only, and a lie that starts there would be pulled wherever the rounding points, which depends on the batch."""
+
+Weight = float | Float[Tensor, " B"]
+
+
+Loss = Callable[[Dense], Float[Tensor, " B"]]
+
+
+def adversarial_loss(
+    dense: Dense,
+    clean: Dense,
+    *,
+    hide: Weight = 1.0,
+    spoof: Weight = 1.0,
+    drift: Weight = 1.0,
+    where: Float[Tensor, "B h w"] | None = None,
+) -> Float[Tensor, " B"]:
+    """How far `dense` lies from `clean`, for each view; differentiable in `dense`, constant in `clean`.
+
+    `hide`, `spoof` and `drift` weigh the three parts, one number or one per view. A negative weight reverses a part.
+    `where` weighs the cells of the score map, non-negative; by default all count alike.
+    """
+    return distance_from(clean, hide=hide, spoof=spoof, drift=drift, where=where)(dense)
+
+
+def distance_from(
+    clean: Dense, *, hide: Weight, spoof: Weight, drift: Weight, where: Float[Tensor, "B h w"] | None = None
+) -> Loss:
+    """`adversarial_loss` as a function of `dense`, for a `clean` that stays: what depends on it alone is done once."""
+    objects = object_cells(clean)
+    count = objects.sum((-2, -1)).clamp(min=1.0)
+    taken = _near(objects)
+    weights = objects if where is None else objects * where
+    view, row, column = weights.nonzero(as_tuple=True)  # few: the boxes of all other cells need not be looked at
+    conceal, displace = (weights[view, row, column] * _of_each(w, count)[view] for w in (hide, drift))
+    shown, box = _capped(-clean.logits.detach()[view, row, column]), clean.boxes.detach()[view, :, row, column]
+    ghosts = _ghosts(clean.logits.detach(), taken, where)
+
+    def loss(dense: Dense) -> Float[Tensor, " B"]:
+        hidden = _capped(-dense.logits[view, row, column]) - shown
+        moved = (dense.boxes[view, :, row, column] - box).abs()
+        drifted = functional.threshold(moved, STILL, 0.0).clamp(max=REACH).mean(1)
+        invented = spoof * (_ghosts(dense.logits, taken, where) - ghosts)
+        return invented.index_add(0, view, conceal * hidden + displace * drifted) / count
+
+    return loss
+
+
+def object_cells(clean: Dense) -> Float[Tensor, "B h w"]:
+    """The probability of the cells in which a view sees a vehicle, 0 elsewhere."""
+    probability = clean.logits.detach().sigmoid()
+    return probability * (probability >= OBJECT_PROBABILITY)
+
+
+def lies(
+    detector: DetectorLike,
+    received: Float[Tensor, "E N C H W"],
+    coverage: Float[Tensor, "E N H W"],
+    liars: Int[Tensor, "E k"],
+    ego_T_liar: Float[Tensor, "E k 3"],
+    world: Int[Tensor, " B"],
+    groups: Bool[Tensor, "B N"],
+) -> Callable[[Float[Tensor, "E k C H W"]], Dense]:
+    """What the ego of world `world[b]` perceives of group `groups[b]` as a function of the liars' δ, Eq. (1).
+
+    A mean of maps is linear in δ, so what the others sent is fused once and not at every call.
+    """
+    if not isinstance(detector, Detector) or detector.fusion != "mean":
+
+        def general(delta: Float[Tensor, "E k C H W"]) -> Dense:
+            attacked = inject(received, detector.warp(delta, ego_T_liar), liars)
+            return detector.perceive(attacked, coverage, world, groups)
+
+        return general
+
+    honest = detector.fuse(received, coverage, world, groups)
+    members = coverage[world] * groups[..., None, None]
+    share = torch.take_along_dim(members, liars[world][..., None, None], 1)
+    share = (share / members.sum(1, keepdim=True).clamp(min=1))[:, :, None]
+    one_each = torch.equal(world, torch.arange(len(received), device=world.device))
+
+    def linear(delta: Float[Tensor, "E k C H W"]) -> Dense:
+        warped = detector.warp(delta, ego_T_liar)
+        return detector.decode(honest + ((warped if one_each else warped[world]) * share).sum(1))
+
+    return linear
+
+
+def _of_each(weight: Weight, like: Float[Tensor, " B"]) -> Float[Tensor, " B"]:
+    """The weight of each view."""
+    return torch.as_tensor(weight, dtype=like.dtype, device=like.device).expand(len(like))
+
+
+def _capped(logits: Float[Tensor, "..."]) -> Float[Tensor, "..."]:
+    """Logits in the liar's favour, up to the margin."""
+    return logits.clamp(max=MARGIN)
+
+
+def _near(objects: Float[Tensor, "B h w"]) -> Bool[Tensor, "B h w"]:
+    """The cells that are object cells or touch one: no place for a ghost."""
+    return functional.max_pool2d(objects.unsqueeze(1), kernel_size=3, stride=1, padding=1).squeeze(1) > 0
+
+
+def _ghosts(
+    logits: Float[Tensor, "B h w"], taken: Bool[Tensor, "B h w"], where: Float[Tensor, "B h w"] | None
+) -> Float[Tensor, " B"]:
+    """Expected ghosts, in nats: each block counts as its most promising free cells do (log-sum-exp)."""
+    masked = logits.masked_fill(taken, torch.finfo(logits.dtype).min / 2)
+    tiles = functional.unfold(masked.unsqueeze(1), kernel_size=BLOCK, stride=BLOCK)
+    block = torch.logsumexp(tiles, 1)
+    error = functional.softplus(_capped(block))
+    if where is not None:
+        error = error * functional.avg_pool2d(where.unsqueeze(1), BLOCK).flatten(1)
+    return error.sum(1)

@@ -1,0 +1,96 @@
+"""From a world to the picture of its last frame."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from cp_env.geometry.planar import grid_origin
+from cp_env.rendering.frame import Image3, Picture, draw
+from cp_env.world.situation import Outcome
+from cp_env.world.world import World
+from defenders import REGISTRY, Defender
+
+
+class Camera:
+    """Pictures of a world's frames. It must `watch` every outcome: the strip of similarities is its memory.
+
+    Sweeps are asked of the scene source again when a picture is taken, so watching costs nothing.
+    """
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+        self._outcome: Outcome | None = None
+        self._similarity: list[list[float]] = [[] for _ in range(world.num_envs)]
+
+    def watch(self, outcome: Outcome) -> None:
+        """Remember the frame just played."""
+        self._outcome = outcome
+        for past, frame, value in zip(self._similarity, outcome.frame, outcome.similarity, strict=True):
+            past += [float("nan") if frame == 0 else float(value)]
+
+    def forget(self, worlds: Sequence[int]) -> None:
+        """New episodes begin in `worlds`."""
+        for e in worlds:
+            self._similarity[e] = []
+
+    def shoot(self, world: int = 0) -> Image3:
+        """The last frame of world `world`; the honest first look if none was played since its reset."""
+        return draw(self.picture(world))
+
+    def picture(self, e: int) -> Picture:
+        """What `shoot` draws."""
+        world, settings = self._world, self._world.settings
+        everyone = frozenset(range(settings.n_maps))
+        episode, frame = world.places[e]
+        liars = frozenset(int(i) for i in world.attackers[e])
+        outcome = self._outcome if self._similarity[e] else None
+        if outcome is not None and not outcome.truncated[e]:
+            frame -= 1  # the world has moved on already
+        points, places = self._sensed(e, frame)
+        view = episode.clean_views[frame] if outcome is None else outcome.seen[e]
+        output = view if outcome is None else outcome.output[e]
+        verdict = None if outcome is None else outcome.verdicts[e]
+        return Picture(
+            frame=0 if outcome is None else int(outcome.frame[e]),
+            points=points,
+            places=places,
+            truth=episode.truth[frame],
+            seen=view.seen,
+            output=output.seen,
+            liars=liars,
+            suspects=frozenset() if verdict is None else verdict.suspects,
+            collaborators=everyone if verdict is None else verdict.collaborators,
+            similarity=tuple(self._similarity[e]),
+            verifications=0 if outcome is None else int(outcome.verifications[e]),
+            damage=0.0 if outcome is None else float(outcome.damage[e]),
+            title=episode.scene.name,
+            defence=f"defended by {_name(world.defenders[e])}",
+            threshold=_alarm(world.defenders[e], everyone),
+            horizon=settings.max_frames,
+            extent=world.detector.extent,
+        )
+
+    def _sensed(self, e: int, frame: int) -> tuple[list[Float[np.ndarray, "_ 3"]], Float[np.ndarray, "N 2"]]:
+        """Each map's points and sensor in the ego's grid frame; m."""
+        settings, scene = self._world.settings, self._world.places[e][0].scene
+        (sweeps,) = self._world.bank.source.sweeps(scene, [frame])
+        used = [*sweeps[: settings.n_vehicles], *(sweeps[-1:] if settings.rsu else [])]
+        origin = grid_origin(used[0].origin[:2])
+        places = np.array([sweep.origin[:2] - origin for sweep in used], dtype=np.float64)
+        points = [s.points + np.array([*shift, 0.0], s.points.dtype) for s, shift in zip(used, places, strict=True)]
+        return points, places
+
+
+def _name(defender: Defender) -> str:
+    """The name it goes by in `defenders.make`, else its class's."""
+    return next((name for name, made in REGISTRY.items() if made is type(defender)), type(defender).__name__)
+
+
+def _alarm(defender: Defender, everyone: frozenset[int]) -> float | None:
+    """The similarity below which the defender looks closer, if it has such a threshold."""
+    epsilon = getattr(defender, "epsilon", None)
+    value = epsilon(everyone) if callable(epsilon) else epsilon
+    return None if value is None else float(value)

@@ -1,0 +1,1 @@
+"""File formats that scenes are read from."""

@@ -1,0 +1,1 @@
+"""What a source of scenes holds: a film, statistics and tables."""

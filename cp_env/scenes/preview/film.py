@@ -1,0 +1,252 @@
+"""A look at any source: a film of what all sensors see from above, and figures of who sees whom.
+
+Convention: the film follows the ego; x points east (right), y north (up), as in `cp_env.types`; m. A box's line points
+to its front, so that points beside their box, a mirrored axis or a turned heading show at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int, UInt8
+from PIL import Image, ImageDraw, ImageFont
+
+from cp_env.geometry.planar import corners
+from cp_env.lidar.returns import returns_of
+from cp_env.types import Scene, SceneSource, Sweep
+
+Colour = tuple[int, int, int]
+Image3 = UInt8[np.ndarray, "H W 3"]
+
+SEEN_AT = 3  # returns that make a vehicle count as seen
+SIDE, LEFT, TOP = 600, 46, 58  # pixels: edge and place of the map
+SIZE = (LEFT + SIDE + 16, TOP + SIDE + 84)
+GROUND, GRID, INK, FAINT = (13, 16, 22), (32, 38, 48), (230, 234, 240), (140, 149, 163)
+WALL, MET, UNMET = (74, 82, 96), (58, 190, 98), (247, 221, 72)
+AGENTS: tuple[Colour, ...] = (
+    (235, 235, 235), (86, 180, 233), (230, 159, 0), (204, 121, 167), (0, 190, 150),
+    (213, 94, 0), (120, 130, 255), (190, 220, 90), (160, 120, 90), (255, 150, 180),
+)  # fmt: skip
+UNIT: Colour = (255, 80, 80)
+
+
+@dataclass(frozen=True, eq=False)
+class Figures:
+    """What the sensors of one scene see, over the frames looked at."""
+
+    scene: Scene
+    frames: Int[np.ndarray, " F"]
+    points: Int[np.ndarray, "F A"]  # of each sweep
+    reach: Float[np.ndarray, "F A"]  # distance that 99 % of its points stay below; m
+    hits: Int[np.ndarray, "F A M"]  # returns of each agent from each vehicle
+    present: Int[np.ndarray, " F"]  # vehicles in the scene
+
+    @property
+    def seen(self) -> Float[np.ndarray, " M"]:
+        """Share of the frames it is present in that any agent sees each vehicle in; NaN if it never is."""
+        return self._share(self.hits.max(axis=1))
+
+    @property
+    def seen_by_ego(self) -> Float[np.ndarray, " M"]:
+        return self._share(self.hits[:, 0])
+
+    def _share(self, hits: Int[np.ndarray, "F M"]) -> Float[np.ndarray, " M"]:
+        there = np.isfinite(self.scene.pose[self.frames, :, 0])
+        total = there.sum(axis=0)
+        met = ((hits >= SEEN_AT) & there).sum(axis=0)
+        return np.where(total > 0, met / np.maximum(total, 1), np.nan)
+
+    @property
+    def nearest(self) -> Float[np.ndarray, " M"]:
+        """How near each vehicle comes to the ego; m, NaN if it is never there."""
+        place = self.scene.pose[self.frames, :, :2]
+        gap = np.linalg.norm(place - place[:, self.scene.connected[:1]], axis=-1)
+        least = np.where(np.isnan(gap), np.inf, gap).min(axis=0)
+        return np.where(np.isinf(least), np.nan, least)
+
+
+def figures(source: SceneSource, name: str, frames: Sequence[int]) -> Figures:
+    """Figures of one scene from the sweeps of some of its frames.
+
+    Raises:
+        ValueError: no frames, unknown scene, or broken data.
+    """
+    if not len(frames):
+        raise ValueError("figures need at least one frame, got none")
+    scene = source.load(name)
+    films = source.sweeps(scene, frames)
+    return Figures(
+        scene=scene,
+        frames=np.asarray(frames),
+        points=np.array([[len(sweep.points) for sweep in sweeps] for sweeps in films]),
+        reach=np.array([[_reach(sweep) for sweep in sweeps] for sweeps in films]),
+        hits=np.array(
+            [[returns_of(scene, t, sweep) for sweep in sweeps] for t, sweeps in zip(frames, films, strict=True)]
+        ),
+        present=np.isfinite(scene.pose[np.asarray(frames), :, 0]).sum(axis=1),
+    )
+
+
+def _reach(sweep: Sweep) -> float:
+    return float(np.quantile(np.linalg.norm(sweep.points[:, :2], axis=1), 0.99))
+
+
+def draw(scene: Scene, frame: int, sweeps: Sequence[Sweep], *, extent: float = 48.0) -> Image3:
+    """One frame from above, ±`extent` m round the ego."""
+    ego = scene.pose[frame, scene.connected[0], :2]
+    canvas = np.array(_sheet(extent))
+    colours = [UNIT if k == scene.n_connected else AGENTS[k % len(AGENTS)] for k in range(len(sweeps))]
+    for sweep, colour in reversed(list(zip(sweeps, colours, strict=True))):  # the ego's points on top
+        cells = _pixels(sweep.points[:, :2] + (sweep.origin[:2] - ego).astype(sweep.points.dtype), extent).astype(int)
+        inside = ((cells >= 0) & (cells < SIDE)).all(axis=1)
+        for low, shade in ((True, 3), (False, 1)):
+            column, row = cells[inside & ((sweep.points[:, 2] < 0.3) == low)].T
+            canvas[TOP + row, LEFT + column] = [
+                (g * (shade - 1) + c) // shade for g, c in zip(GROUND, colour, strict=True)
+            ]
+    image = Image.fromarray(canvas)
+    panel = image.crop((LEFT, TOP, LEFT + SIDE, TOP + SIDE))  # what is drawn on it ends at its edges
+    pen = ImageDraw.Draw(panel)
+    _walls(pen, scene, ego, extent)
+    met = np.max([returns_of(scene, frame, sweep) for sweep in sweeps], axis=0) >= SEEN_AT
+    _vehicles(pen, scene, frame, ego, met, colours, extent)
+    image.paste(panel, (LEFT, TOP))
+    _words(ImageDraw.Draw(image), scene, frame, sweeps, met, colours)
+    return np.asarray(image)
+
+
+def film(source: SceneSource, name: str, frames: Sequence[int], *, extent: float = 48.0) -> list[Image.Image]:
+    """Some frames of a scene as pictures in few colours, ready for a GIF."""
+    scene = source.load(name)
+    shots = [
+        Image.fromarray(draw(scene, int(t), sweeps, extent=extent))
+        for start in range(0, len(frames), 8)
+        for t, sweeps in zip(frames[start : start + 8], source.sweeps(scene, frames[start : start + 8]), strict=True)
+    ]
+    return [shot.quantize(96, dither=Image.Dither.NONE) for shot in shots]
+
+
+def write_gif(shots: Sequence[Image.Image], out: Path, *, seconds: float) -> None:
+    """Store pictures as an endlessly repeating GIF, each shown for `seconds`."""
+    out.parent.mkdir(parents=True, exist_ok=True)
+    shots[0].save(out, save_all=True, append_images=shots[1:], duration=round(1000 * seconds), loop=0)
+
+
+def spec_of(text: str) -> str:
+    """What names the source that a path or a name stands for: a folder or file is looked at, the rest is left alone.
+
+    Raises:
+        ValueError: a path to something of no known kind.
+    """
+    path = Path(text)
+    if not path.exists():
+        return text
+    if path.is_file():
+        kind = "sumo" if {".sumocfg", ".net"} & set(path.suffixes) else ""
+    elif any(path.glob("scene.json")) or any(path.glob("*/scene.json")):
+        kind = "v2x-sim"
+    elif any(path.glob("agent*")) or any(path.glob("*/agent*")):
+        kind = "v2x-sim-det"
+    else:
+        kind = "opv2v" if any(path.glob("*/*/*.pcd")) or any(path.glob("*/*/*/*.pcd")) else ""
+    if not kind:
+        raise ValueError(f"{path} is no data set that is known here; name it as kind:path, see docs/scenes.md")
+    return f"{kind}:{text}"
+
+
+# ── the parts ────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def _pixels(place: Float[np.ndarray, "*n 2"], extent: float) -> Float[np.ndarray, "*n 2"]:
+    """m from the ego to pixels of the map; north is up."""
+    return (place * [1, -1] + extent) * (SIDE / (2 * extent))
+
+
+def _corners(boxes: Float[np.ndarray, "*n 5"], extent: float) -> list[list[tuple[float, float]]]:
+    return [[(float(x), float(y)) for x, y in box] for box in _pixels(corners(boxes), extent)]
+
+
+def _walls(pen: ImageDraw.ImageDraw, scene: Scene, ego: Float[np.ndarray, " 2"], extent: float) -> None:
+    rows = scene.obstacles
+    boxes = np.column_stack([rows[:, :2] - ego, rows[:, 3:5], rows[:, 2]])
+    for outline in _corners(boxes, extent):
+        pen.polygon(outline, outline=WALL)
+
+
+def _vehicles(
+    pen: ImageDraw.ImageDraw,
+    scene: Scene,
+    frame: int,
+    ego: Float[np.ndarray, " 2"],
+    met: np.ndarray,
+    colours: Sequence[Colour],
+    extent: float,
+) -> None:
+    rows = np.flatnonzero(np.isfinite(scene.pose[frame, :, 0]))
+    pose = scene.pose[frame, rows]
+    boxes = np.column_stack([pose[:, :2] - ego, scene.size[rows, :2], pose[:, 2]])
+    number = {int(row): k for k, row in enumerate(scene.connected)}
+    for row, box, outline in zip(rows.tolist(), boxes, _corners(boxes, extent), strict=True):
+        k = number.get(row)
+        colour = colours[k] if k is not None else MET if met[row] else UNMET
+        middle = _pixels(box[:2], extent)
+        front = (np.array(outline[0]) + np.array(outline[3])) / 2
+        pen.polygon(outline, outline=colour, width=2, fill=GROUND if k is not None else None)
+        pen.line([*middle.tolist(), *front.tolist()], fill=colour, width=2)
+        if k is not None:
+            spot = (float(middle[0]), float(middle[1]))
+            pen.text(spot, str(k), colour, _font(15), anchor="mm", stroke_width=3, stroke_fill=GROUND)
+    if scene.rsu is not None:
+        x, y = _pixels(scene.rsu[:2] - ego, extent).tolist()
+        pen.polygon([(x, y - 8), (x + 7, y + 5), (x - 7, y + 5)], outline=UNIT, fill=GROUND, width=2)
+
+
+def _words(
+    pen: ImageDraw.ImageDraw,
+    scene: Scene,
+    frame: int,
+    sweeps: Sequence[Sweep],
+    met: np.ndarray,
+    colours: Sequence[Colour],
+) -> None:
+    present = np.isfinite(scene.pose[frame, :, 0])
+    pen.text((LEFT, 12), scene.name, INK, _font(16))
+    clock = f"frame {frame} of {scene.n_frames}, {frame * scene.dt:.1f} s"
+    pen.text((LEFT + SIDE, 14), clock, INK, _font(13), anchor="ra")
+    total = sum(len(sweep.points) for sweep in sweeps)
+    counts = f"{present.sum()} vehicles, {(met & present).sum()} of them seen by a sensor; {total:,} points"
+    pen.text((LEFT, 36), counts, FAINT, _font(12))
+    x, y = LEFT, TOP + SIDE + 44
+    for k, colour in enumerate(colours):
+        name = "RSU" if k == scene.n_connected else f"{k} ego" if k == 0 else str(k)
+        pen.rectangle((x, y - 5, x + 10, y + 5), fill=colour)
+        pen.text((x + 15, y), name, FAINT, _font(12), anchor="lm")
+        x += 29 + round(pen.textlength(name, _font(12)))
+    x, y = LEFT, TOP + SIDE + 66
+    for name, colour in (("another vehicle, seen", MET), ("seen by no sensor", UNMET), ("wall or building", WALL)):
+        pen.rectangle((x, y - 5, x + 18, y + 5), outline=colour, width=2)
+        pen.text((x + 25, y), name, FAINT, _font(12), anchor="lm")
+        x += 45 + round(pen.textlength(name, _font(12)))
+
+
+def _sheet(extent: float) -> Image.Image:
+    """Grid and axes."""
+    image = Image.new("RGB", SIZE, GROUND)
+    pen = ImageDraw.Draw(image)
+    for value in np.linspace(-extent, extent, 5):
+        across, down = (_pixels(np.array([value, value]), extent)).tolist()
+        pen.line((LEFT + across, TOP, LEFT + across, TOP + SIDE), GRID)
+        pen.line((LEFT, TOP + down, LEFT + SIDE, TOP + down), GRID)
+        pen.text((LEFT + across, TOP + SIDE + 5), f"{value:.0f}", FAINT, _font(11), anchor="mt")
+        pen.text((LEFT - 5, TOP + down), f"{value:.0f}", FAINT, _font(11), anchor="rm")
+    pen.text(
+        (LEFT + SIDE / 2, TOP + SIDE + 19), "x, east of the ego (m);  up: y, north (m)", FAINT, _font(11), anchor="mt"
+    )
+    return image
+
+
+def _font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
+    return ImageFont.load_default(size)

@@ -1,0 +1,1 @@
+"""Scenes from SUMO's traffic, recorded or live."""

@@ -1,0 +1,131 @@
+"""From a drive through a network to a scene: choose a cast, furnish the streets round it, keep what is near."""
+
+from __future__ import annotations
+
+import tempfile
+import zlib
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import shapely
+from jaxtyping import Float, Int
+
+from cp_env.scenes.formats.recording import wrap
+from cp_env.scenes.preview.statistics import sight
+from cp_env.scenes.sumo import roadside, selection, traffic
+from cp_env.scenes.sumo.network import Streets, build_streets, draw_streets
+from cp_env.scenes.sumo.roadside import footprints
+from cp_env.types import Scene
+
+REACH = 90.0  # m round the ego's path: what is farther off is not kept
+CROWD = {"urban": (120, 200), "suburban": (80, 140), "intersection": (40, 85)}  # vehicles at once in the network
+TRIES = 12
+AUDITIONS = 7  # casts of one drive that are furnished and compared
+ALONE, FIVE = 0.52, 0.97  # share of vehicles in range seen by the ego alone, by five: what an audition looks for
+
+
+def record(name: str, kind: str, seed: int) -> Scene:
+    """One scene, a function of its arguments alone (and of the versions of SUMO and of our LiDAR, which judges it)."""
+    for attempt in range(TRIES):
+        rng = np.random.default_rng([seed, zlib.crc32(name.encode()), attempt])
+        with tempfile.TemporaryDirectory() as folder:
+            town = build_streets(*draw_streets(kind, rng), Path(folder))
+            tracks = traffic.drive(town, Path(folder), rng, crowd=int(rng.integers(*CROWD[kind])))
+        casts = selection.candidates(tracks, town, rng, AUDITIONS)
+        scenes = [stage(name, kind, town, tracks, cast, rng) for cast in casts]
+        auditions = [
+            (_merit(scene, cast), scene) for scene, cast in zip(scenes, casts, strict=True) if scene is not None
+        ]
+        if auditions:
+            return max(auditions, key=lambda audition: audition[0])[1]
+    raise RuntimeError(f"scene {name!r}: no window with enough vehicles in radio range in {TRIES} networks")
+
+
+def _merit(scene: Scene, cast: selection.Cast) -> float:
+    """High where the ego alone misses much and five together see nearly all: what the scenes are for."""
+    alone, five, _ = sight(scene, range(10, selection.FRAMES, 27))
+    return float(0.12 * cast.value - abs(alone - ALONE) - 3 * max(0.0, FIVE - five))
+
+
+def stage(
+    name: str,
+    kind: str,
+    town: Streets,
+    tracks: traffic.Tracks,
+    cast: selection.Cast,
+    rng: np.random.Generator,
+    buildings: Float[np.ndarray, "B 6"] | None = None,
+) -> Scene | None:
+    """Furnish the streets round one cast; None if SUMO drove two of the connected through each other.
+
+    Args:
+        kind: "urban", "suburban" or "intersection": what stands beside the streets.
+        buildings: boxes that stand there instead of houses.
+    """
+    pose = tracks.pose[cast.start : cast.start + selection.FRAMES].copy()
+    path = pose[:, cast.connected[0], :2]
+    pose[np.linalg.norm(pose[:, :, None, :2] - path[None, None, ::10], axis=-1).min(axis=2) > REACH] = np.nan
+    kept = _peaceful(pose, tracks.size, cast.connected)
+    if not np.isin(cast.connected, kept).all():
+        return None
+    pose, size = pose[:, kept], tracks.size[kept]
+    still = roadside.furnish(town, kind, path, _swept(pose, size), rng, REACH, buildings)
+    parked = np.repeat(still.pose[None], len(pose), axis=0)
+    scene = Scene(
+        name=name,
+        kind=kind,
+        dt=traffic.DT,
+        pose=np.concatenate([pose, parked], axis=1),
+        size=np.concatenate([size, still.size]),
+        connected=np.searchsorted(kept, cast.connected),
+        rsu=roadside.place_rsu(town, still, path, rng) if len(town.junctions) else None,
+        obstacles=still.obstacles,
+    )
+    return _moved(scene, angle=rng.uniform(-np.pi, np.pi), origin=path.mean(axis=0))
+
+
+def _peaceful(
+    pose: Float[np.ndarray, "T M 3"], size: Float[np.ndarray, "M 3"], connected: Int[np.ndarray, " A"]
+) -> Int[np.ndarray, " K"]:
+    """Rows ever present, less one of every two that SUMO drove through each other (a connected one goes last)."""
+    drop = np.isnan(pose[..., 0]).all(axis=0)
+    for a, b in _clashes(pose, size):
+        if not (drop[a] or drop[b]):
+            drop[b if a in connected else a] = True
+    return np.flatnonzero(~drop)
+
+
+def _clashes(pose: Float[np.ndarray, "T M 3"], size: Float[np.ndarray, "M 3"]) -> list[tuple[int, int]]:
+    pairs: set[tuple[int, int]] = set()
+    for frame in pose:
+        here = np.flatnonzero(~np.isnan(frame[:, 0]))
+        shapes = footprints(np.column_stack([frame[here], size[here] - 0.04]))
+        a, b = shapely.STRtree(shapes).query(shapes, predicate="intersects")
+        pairs.update((int(here[i]), int(here[j])) for i, j in zip(a, b, strict=True) if i < j)
+    return sorted(pairs)
+
+
+def _swept(pose: Float[np.ndarray, "T M 3"], size: Float[np.ndarray, "M 3"]) -> np.ndarray:
+    """Polygons that cover all the ground driven over: hulls of each vehicle's boxes three frames apart."""
+    stations = pose[np.unique([*range(0, len(pose), 3), len(pose) - 1])]
+    hulls = []
+    for a, b in pairwise(stations):
+        begin, end = (np.where(np.isnan(x), y, x) for x, y in ((a, b), (b, a)))
+        rows = np.flatnonzero(~np.isnan(begin[:, 0]))
+        ends = [footprints(np.column_stack([where[rows], size[rows]])) for where in (begin, end)]
+        hulls.append(shapely.convex_hull(shapely.multipolygons(np.stack(ends, axis=1))))
+    return np.concatenate(hulls)
+
+
+def _moved(scene: Scene, angle: float, origin: Float[np.ndarray, " 2"]) -> Scene:
+    """The scene turned by `angle` about `origin`, which becomes (0, 0)."""
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+
+    def moved(rows: Float[np.ndarray, "*n d"]) -> Float[np.ndarray, "*n d"]:
+        place, yaw, rest = rows[..., :2], rows[..., 2:3], rows[..., 3:]
+        return np.concatenate([(place - origin) @ turn.T, wrap(yaw + angle), rest], axis=-1)
+
+    rsu = None if scene.rsu is None else np.concatenate([turn @ (scene.rsu[:2] - origin), scene.rsu[2:]])
+    return replace(scene, pose=moved(scene.pose), rsu=rsu, obstacles=moved(scene.obstacles))

@@ -1,0 +1,184 @@
+"""Moving traffic: SUMO drives trips from stub to stub through a network, and we note where everyone is.
+
+SUMO gives the middle of the front bumper and clockwise degrees from north; we keep box centres and radians from east.
+"""
+
+from __future__ import annotations
+
+import threading
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from cp_env.scenes.sumo.network import NEEDS_SUMO, Streets
+from cp_env.scenes.sumo.vehicle_sizes import draw_sizes
+
+DT = 0.2  # s: 5 Hz
+AXLE = 0.8  # of its length lies a vehicle's rear axle behind its front bumper
+JUMP = 4.0  # m a frame: nobody drives that fast here
+N_TYPES = 60  # vehicles of one type are twins; a scene shows some dozens
+NO_CARS = frozenset({
+    "pedestrian", "wheelchair", "bicycle", "scooter", "moped", "motorcycle", "tram", "rail_urban", "rail",
+    "rail_electric", "rail_fast", "subway", "cable_car", "ship", "container", "drone", "aircraft",
+})  # fmt: skip
+"""SUMO's classes that are no road vehicle of four wheels or more."""
+
+_ALWAYS = [
+    "--step-length", str(DT), "--time-to-teleport", "60", "--collision.action", "none",
+    "--no-step-log", "--no-warnings", "--ignore-route-errors",
+]  # fmt: skip
+_ONE_AT_A_TIME = threading.Lock()
+
+
+@dataclass(frozen=True)
+class Tracks:
+    """Everyone who drove while we looked; NaN where absent. Poses of box centres in the network's frame."""
+
+    pose: Float[np.ndarray, "T V 3"]
+    size: Float[np.ndarray, "V 3"]
+
+
+def drive(
+    streets: Streets,
+    folder: Path,
+    rng: np.random.Generator,
+    *,
+    crowd: int,
+    warm_up: float = 90.0,
+    seconds: float = 90.0,
+) -> Tracks:
+    """Simulate `warm_up` + `seconds` s with at most `crowd` vehicles at once; the last `seconds` are kept."""
+    _simulator()  # before anything is written
+    sizes = draw_sizes(N_TYPES, rng, parked=False)
+    routes = folder / "trips.rou.xml"
+    _write_trips(routes, streets, sizes, rng, horizon=warm_up + seconds)
+    command = [
+        "-n", str(streets.net), "-r", str(routes), "--seed", str(int(rng.integers(1 << 30))),
+        "--max-num-vehicles", str(crowd), "--lanechange.duration", "3", "--default.speeddev", "0",
+    ]  # fmt: skip
+    return watch(command, warm_up=warm_up, seconds=seconds)
+
+
+def watch(command: list[str], *, warm_up: float, seconds: float, jump: float = JUMP) -> Tracks:
+    """Run `sumo` by `command` at 5 Hz; all cars, vans, lorries and buses of the last `seconds` s.
+
+    libsumo holds one simulation a process: this one begins and ends here, and waits for one in another thread.
+
+    Args:
+        jump: who moves farther in a frame, m, was moved by SUMO itself, and goes on as another vehicle.
+
+    Raises:
+        ImportError: SUMO is not installed.
+        ValueError: SUMO refuses the command; the message says why, as far as SUMO does.
+    """
+    sumo = _simulator()
+    kinds: dict[str, int] = {}
+    sizes: list[tuple[float, float, float]] = []
+    frames: list[dict[str, tuple[float, float, float, str]]] = []
+    with _ONE_AT_A_TIME:
+        try:
+            sumo.start(["sumo", *command, *_ALWAYS])
+            for step in range(round((warm_up + seconds) / DT)):
+                sumo.simulationStep()
+                frame = {}
+                for name in sumo.vehicle.getIDList() if step >= round(warm_up / DT) else ():
+                    kind = sumo.vehicle.getTypeID(name)
+                    if kind not in kinds:
+                        measure = sumo.vehicletype
+                        kinds[kind] = -1 if measure.getVehicleClass(kind) in NO_CARS else len(sizes)
+                        if kinds[kind] >= 0:
+                            sizes.append((measure.getLength(kind), measure.getWidth(kind), measure.getHeight(kind)))
+                    if kinds[kind] >= 0:
+                        place, angle = sumo.vehicle.getPosition(name), sumo.vehicle.getAngle(name)
+                        frame[name] = (*place, angle, str(kinds[kind]))
+                if step >= round(warm_up / DT):
+                    frames.append(frame)
+        except (sumo.TraCIException, sumo.FatalTraCIError) as error:
+            raise ValueError(f"SUMO refused `sumo {' '.join(command)}`: {error}") from error
+        finally:
+            sumo.close()
+    return _tracks(frames, np.array(sizes).reshape(-1, 3), jump)
+
+
+def _write_trips(
+    path: Path, streets: Streets, sizes: Float[np.ndarray, "K 3"], rng: np.random.Generator, horizon: float
+) -> None:
+    root = ET.Element("routes")
+    write_types(root, sizes, rng)
+    for k, depart in enumerate(np.arange(0, horizon, 0.35)):
+        source = streets.sources[rng.integers(len(streets.sources))]
+        sinks = [edge for edge in streets.sinks if edge.split("-")[::-1] != source.split("-")]
+        trip = {"id": f"v{k}", "from": source, "to": sinks[rng.integers(len(sinks))]}
+        kind = str(rng.integers(len(sizes)))
+        start = {"depart": f"{depart:.2f}", "departLane": "random", "departSpeed": "max", "departPos": "0"}
+        ET.SubElement(root, "trip", {**trip, **start}, type=kind)
+    ET.ElementTree(root).write(path)
+
+
+def write_types(root: ET.Element, sizes: Float[np.ndarray, "K 3"], rng: np.random.Generator) -> None:
+    """One vehicle type a size, called by its number, each with a driver of its own."""
+    for k, (length, width, height) in enumerate(sizes):
+        heavy = length > 6.5
+        ET.SubElement(
+            root, "vType", id=str(k), length=f"{length:.2f}", width=f"{width:.2f}", height=f"{height:.2f}", sigma="0.3",
+            minGap=f"{rng.uniform(1.5, 2.5):.2f}", accel="1.3" if heavy else "2.2", decel="3.5", tau="1.1",
+            speedFactor=f"{rng.uniform(0.75, 1.0):.2f}", lcStrategic="2",
+        )  # fmt: skip
+
+
+def _tracks(
+    frames: list[dict[str, tuple[float, float, float, str]]], sizes: Float[np.ndarray, "K 3"], jump: float = JUMP
+) -> Tracks:
+    """The box of every vehicle, its rear axle drawn behind its front bumper as on a real road.
+
+    SUMO turns a vehicle by its lane, which jumps between lanes and at junctions; a rear axle that follows does not.
+    A vehicle that SUMO moved elsewhere at once (a "teleport" out of a jam) goes on as another one.
+    """
+    rows: dict[str, int] = {}
+    pose = np.full((len(frames), len({name for frame in frames for name in frame}), 3), np.nan)
+    kinds: list[int] = []
+    front: dict[str, tuple[float, float]] = {}
+    axle: dict[str, tuple[float, float]] = {}
+    for t, frame in enumerate(frames):
+        for name in sorted(frame):
+            x, y, angle, kind = frame[name]
+            length = sizes[int(kind), 0]
+            yaw = np.pi / 2 - np.deg2rad(angle)
+            if name not in rows or t == 0 or name not in frames[t - 1] or _far(front[name], (x, y), jump):
+                rows[name] = len(kinds)
+                kinds.append(int(kind))
+                if len(kinds) > pose.shape[1]:
+                    pose = np.concatenate([pose, np.full_like(pose, np.nan)], axis=1)
+            else:
+                yaw = np.arctan2(y - axle[name][1], x - axle[name][0])
+            front[name] = x, y
+            axle[name] = x - AXLE * length * np.cos(yaw), y - AXLE * length * np.sin(yaw)
+            pose[t, rows[name]] = x - length / 2 * np.cos(yaw), y - length / 2 * np.sin(yaw), yaw
+    return Tracks(pose[:, : len(kinds)], sizes[kinds])
+
+
+def _far(a: tuple[float, float], b: tuple[float, float], jump: float) -> bool:
+    return bool(abs(a[0] - b[0]) + abs(a[1] - b[1]) > jump)
+
+
+def version() -> str:
+    """The version of SUMO that is installed.
+
+    Raises:
+        ImportError: none is; the message says how to get it.
+    """
+    _simulator()
+    return metadata.version("libsumo")
+
+
+def _simulator() -> Any:
+    try:
+        import libsumo
+    except ImportError as error:
+        raise ImportError(NEEDS_SUMO) from error
+    return libsumo

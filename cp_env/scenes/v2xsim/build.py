@@ -1,0 +1,115 @@
+"""One scene of V2X-Sim put on flat ground: boxes become vehicles, sensors find their carriers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from cp_env.geometry import spatial
+from cp_env.scenes.town import KINDS
+from cp_env.scenes.v2xsim.index import Index, Rows
+from cp_env.types import Scene
+
+RSU = 0  # the road-side unit is LIDAR_TOP_id_0
+STRAY = 2.5  # m; an annotated box this close under a LiDAR is its carrier's
+BARE = (4.7, 2.0, 1.6)  # length, width, height of a carrier that is not annotated; m
+AROUND = 40.0  # m; boxes this close tell where the ground under a road-side unit is
+
+
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """A scene, and what it takes to read its sweeps."""
+
+    scene: Scene
+    rows: Rows
+    agents: tuple[int, ...]  # channels in the order of the sweeps
+    row: dict[int, int]  # of each vehicle's box among the scene's vehicles
+    origin: dict[int, Float[np.ndarray, "T 3"]]  # of each agent's sweeps; world x, y and height above ground
+    ground: Float[np.ndarray, "T K"]  # world z of the ground under each sensor
+    boxes: Float[np.ndarray, "T M 7"]  # of the scene's vehicles, as in `Rows.box`
+
+
+def present(rows: Rows) -> Int[np.ndarray, " A"]:
+    """The vehicles with a sweep in every frame."""
+    there = ~np.isnan(rows.world_T_sensor[..., 0, 0]).any(axis=0)
+    there[RSU] = False
+    return np.flatnonzero(there)
+
+
+@lru_cache(maxsize=8)
+def stage(index: Index, place: int, categories: tuple[str, ...], rsu: bool) -> Stage:
+    """A scene of an index."""
+    rows, entry = index.rows(place), index.entries[place]
+    agents = present(rows).tolist()
+    tracks, wanted = _tracks(rows, [name.startswith(categories) for name in index.categories])
+    carriers = [_carrier(tracks, rows.world_T_sensor[:, agent, :, 3]) for agent in agents]
+    boxes = np.concatenate([tracks, *(_bare(rows, agent) for agent in agents)], axis=1)
+    row = [len(tracks[0]) + k if carrier is None else carrier for k, carrier in enumerate(carriers)]
+    keep = np.union1d(np.flatnonzero(wanted), row)
+    boxes, connected = boxes[:, keep], np.searchsorted(keep, row)
+    carrier = dict(zip(agents, connected.tolist(), strict=True))
+    ground = _ground(rows, boxes, carrier)
+    height = rows.world_T_sensor[..., 2, 3] - ground
+    origin = {
+        agent: np.concatenate([boxes[:, own, :2], height[:, agent, None]], axis=1) for agent, own in carrier.items()
+    }
+    mast = None
+    if rsu and not np.isnan(height[:, RSU]).any():
+        mast = np.append(rows.world_T_sensor[0, RSU, :2, 3], height[0, RSU])
+        origin[RSU] = np.repeat(mast[None], len(height), axis=0)
+    scene = Scene(
+        name=entry.name,
+        kind=entry.description if entry.description in KINDS else "intersection",
+        dt=round(float(np.median(np.diff(rows.time))), 6) if len(rows.time) > 1 else 0.2,
+        pose=boxes[..., [0, 1, 6]],
+        size=np.nanmedian(boxes[..., 3:6], axis=0),
+        connected=connected,
+        rsu=mast,
+        obstacles=np.zeros((0, 6)),
+    )
+    for array in (scene.pose, scene.size, scene.connected, scene.obstacles):
+        array.flags.writeable = False  # it is shared by all who load it
+    return Stage(scene, rows, tuple(origin), carrier, origin, ground, boxes)
+
+
+def _tracks(rows: Rows, wanted: Sequence[bool]) -> tuple[Float[np.ndarray, "T I 7"], Bool[np.ndarray, " I"]]:
+    """The box of each instance in each frame (NaN where absent), and which instances are of a wanted category."""
+    ids, first, column = np.unique(rows.instance, return_index=True, return_inverse=True)
+    tracks = np.full((len(rows.time), len(ids), 7), np.nan)
+    tracks[rows.frame, column] = rows.box
+    return tracks, np.array(wanted, dtype=bool)[rows.category[first]]
+
+
+def _carrier(tracks: Float[np.ndarray, "T I 7"], sensor: Float[np.ndarray, "T 3"]) -> int | None:
+    """The instance that stays under a sensor in all frames, if there is one."""
+    away = np.hypot(*np.moveaxis(tracks[..., :2] - sensor[:, None, :2], -1, 0)).max(axis=0, initial=0)
+    if not (away < STRAY).any():  # a NaN, absent in some frame, compares false
+        return None
+    return int(np.nanargmin(away))
+
+
+def _bare(rows: Rows, agent: int) -> Float[np.ndarray, "T 1 7"]:
+    """A box for a carrier that is not annotated: of a usual size, under its sensor, standing on its ego pose."""
+    world_T_sensor = rows.world_T_sensor[:, agent]
+    place = world_T_sensor[:, :2, 3]
+    foot = rows.base[:, agent, None]
+    size = np.broadcast_to(BARE, (len(foot), 3))
+    yaw = spatial.heading(world_T_sensor)[:, None]
+    return np.concatenate([place, foot + BARE[2] / 2, size, yaw], axis=1)[:, None]
+
+
+def _ground(rows: Rows, boxes: Float[np.ndarray, "T M 7"], carrier: dict[int, int]) -> Float[np.ndarray, "T K"]:
+    """World z of the ground under each sensor."""
+    foot = boxes[..., 2] - boxes[..., 5] / 2
+    ground = rows.base.copy()
+    for agent, row in carrier.items():
+        ground[:, agent] = foot[:, row]
+    mast = rows.world_T_sensor[0, RSU, :2, 3]
+    near = np.hypot(*np.moveaxis(boxes[..., :2] - mast, -1, 0)) < AROUND
+    if near.any():
+        ground[:, RSU] = np.median(foot[near])
+    return ground

@@ -1,0 +1,53 @@
+"""What a liar can work out before it sends: the views that the ego would have, as the world computes them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from cp_env.metrics import similarity
+from cp_env.perturbation import channel
+from cp_env.types import View
+from cp_env.world.episode import make_views
+from cp_env.world.situation import Situation
+
+Group = frozenset[int]
+Pair = tuple[int, Group]
+
+
+@torch.no_grad()
+def foresee(situation: Situation, delta: Float[Tensor, "E k C H W"], pairs: Sequence[Pair]) -> list[View]:
+    """The view of each (world, group) if δ were sent now."""
+    pose = torch.take_along_dim(situation.ego_T_sender, situation.attackers[..., None], 1)
+    warped = situation.detector.warp(delta, pose)
+    attacked = channel.inject(situation.received, warped, situation.attackers)
+    groups = torch.zeros(len(pairs), situation.fused.shape[1], dtype=torch.bool)
+    for row, (_, group) in zip(groups, pairs, strict=True):
+        row[sorted(group)] = True
+    worlds, device = [e for e, _ in pairs], situation.received.device
+    world = torch.tensor(worlds, dtype=torch.long, device=device)
+    dense = situation.eyes().perceive(attacked, situation.coverage, world, groups.to(device))
+    frames, places = situation.frame[worlds].tolist(), list(situation.place[worlds])
+    return make_views(situation.detector, dense, [group for _, group in pairs], frames, places)
+
+
+def honest(situation: Situation) -> list[View]:
+    """What each ego would see of everyone if nobody lied."""
+    everyone = frozenset(range(situation.fused.shape[1]))
+    frames, places = situation.frame.tolist(), list(situation.place)
+    return make_views(situation.detector, situation.clean, [everyone] * len(places), frames, places)
+
+
+def alike(views: Sequence[View], references: Sequence[View | None]) -> Float[np.ndarray, " V"]:
+    """Similarity of each view to its reference, Eq. (5); 1 where there is none yet."""
+    pairs = [(v, v if reference is None else reference) for v, reference in zip(views, references, strict=True)]
+    return similarity.view_similarity_many(pairs)
+
+
+def damage(views: Sequence[View], clean: Sequence[View]) -> Float[np.ndarray, " V"]:
+    """1 - Jaccard of each view to the one without lies."""
+    return 1 - similarity.jaccard_many([v.seen.boxes for v in views], [c.seen.boxes for c in clean])

@@ -1,0 +1,211 @@
+"""Lock-step verification: every world's defender asks, one forward answers all, the referee counts.
+
+Convention: a *pair* is (world, group). The referee never tells a defender who lies; it hands out views, no more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from cp_env.metrics import similarity
+from cp_env.types import View
+from defenders.protocol import Defender, Inspection, Query, Verdict
+
+Pair = tuple[int, frozenset[int]]
+Perceive = Callable[[list[Pair]], list[View]]
+
+
+class DefenderError(RuntimeError):
+    """A defender raised, asked for nonsense or never stopped asking; its episode is over."""
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """What one defender is shown of one frame (see `defenders.protocol.Frame`)."""
+
+    index: int
+    n_vehicles: int
+    seen: View  # of everyone present
+    _previous: View | None = field(default=None, repr=False)  # the last output, which most defenders compare with
+    _memo: dict[tuple[int, int], tuple[View, View, float]] = field(default_factory=dict, repr=False)
+
+    @property
+    def present(self) -> frozenset[int]:
+        """Whose maps are there in this frame."""
+        return self.seen.group
+
+    def similarity(self, a: View, b: View) -> float:
+        """Jaccard similarity of two views, PRBI Eq. (5); the older one is moved by the ego's motion first."""
+        if _key(a, b) not in self._memo:
+            self._memo[_key(a, b)] = (a, b, similarity.view_similarity(a, b))
+        return self._memo[_key(a, b)][2]
+
+    def agreement(self, a: View, b: View) -> float:
+        """Consistency of two views' score maps (PASAC's CCLoss)."""
+        return similarity.agreement(a, b)
+
+
+def _key(a: View, b: View) -> tuple[int, int]:
+    """The same for both orders; no other pair's as long as the memo holds both objects."""
+    return (id(a), id(b)) if id(a) < id(b) else (id(b), id(a))
+
+
+def foresee(looked: Sequence[tuple[Frame, View]]) -> None:
+    """Compare fresh views with their frame's last output, all in one go, before anyone asks: many at once cost little.
+
+    Nothing a defender sees depends on it: similarities asked for later are taken from here instead of computed.
+    """
+    pairs = [(frame, view, frame._previous) for frame, view in looked if frame._previous is not None]
+    values = similarity.view_similarity_many([(view, previous) for _, view, previous in pairs])
+    for (frame, view, previous), value in zip(pairs, values.tolist(), strict=True):
+        frame._memo[_key(view, previous)] = (view, previous, value)
+
+
+@dataclass(frozen=True, eq=False)
+class Judgement:
+    """What one world's defender did in one frame."""
+
+    verdict: Verdict
+    output: View
+    groups: tuple[frozenset[int], ...]  # every group asked, in order
+    verifications: int  # those of them that count
+    error: str | None = None
+
+
+@dataclass(eq=False)
+class _Case:
+    """One world's inspection while it runs."""
+
+    world: int
+    frame: Frame
+    defender: Defender
+    views: dict[frozenset[int], View]
+    inspection: Inspection | None = None
+    query: Query | None = None
+    verdict: Verdict | None = None
+    groups: list[frozenset[int]] = field(default_factory=list)
+    verifications: int = 0
+    queries: int = 0
+    error: str | None = None
+
+    @property
+    def everyone(self) -> frozenset[int]:
+        return frozenset(range(self.frame.n_vehicles))
+
+    @property
+    def present(self) -> frozenset[int]:
+        return self.frame.present
+
+    def advance(self) -> None:
+        """Send the answers to the pending query; keep the next query or the verdict. A failure ends this case only."""
+        try:
+            if self.inspection is None:
+                self.inspection = self.defender.inspect(self.frame)
+                request = next(self.inspection)
+            else:
+                assert self.query is not None
+                request = self.inspection.send([self.views[group & self.present] for group in self.query.groups])
+            self.query = self._checked(request)
+        except StopIteration as stop:
+            self._conclude(stop.value)
+        except Exception as error:  # whatever a plug-in raises must not reach the other worlds
+            self._fail(f"{type(error).__name__}: {error}")
+
+    def _checked(self, request: object) -> Query:
+        if not isinstance(request, Query):
+            raise ValueError(f"inspect() must yield a Query, not {type(request).__name__}")
+        self.queries += 1
+        if self.queries > self.defender.max_queries:
+            raise ValueError(f"more than max_queries = {self.defender.max_queries} queries in one frame")
+        for group in request.groups:
+            if not group & self.present or not group <= self.everyone:
+                raise ValueError(
+                    f"a group must hold one or more of the vehicles 0..{self.frame.n_vehicles - 1}, not {sorted(group)}"
+                    f"; present in this frame are {sorted(self.present)}"
+                )
+        self.groups += request.groups
+        self.verifications += len(request.groups) if request.verification else 0
+        return request
+
+    def _conclude(self, verdict: object) -> None:
+        if not isinstance(verdict, Verdict):
+            self._fail(f"inspect() must return a Verdict, not {type(verdict).__name__}")
+        elif not verdict.collaborators & self.present or not named(verdict) <= self.everyone:
+            self._fail(
+                f"a verdict must fuse at least one of the vehicles 0..{self.frame.n_vehicles - 1} and accuse none but "
+                f"them, not fuse {sorted(verdict.collaborators)} and accuse {sorted(verdict.suspects)}; present are "
+                f"{sorted(self.present)}"
+            )
+        else:
+            self.verdict, self.query = verdict, None
+
+    def _fail(self, reason: str) -> None:
+        self.error = f"defender {type(self.defender).__name__} failed in frame {self.frame.index}: {reason}"
+        self.verdict, self.query = Verdict(self.everyone), None
+
+    def close(self) -> None:
+        if self.inspection is not None:
+            self.inspection.close()
+
+
+def named(verdict: Verdict) -> frozenset[int]:
+    """Everyone a verdict speaks of."""
+    return verdict.collaborators | verdict.suspects
+
+
+def judge(frames: Sequence[Frame], defenders: Sequence[Defender], perceive: Perceive) -> list[Judgement]:
+    """Run every defender on its frame, all in lock-step: one forward a round, however many worlds.
+
+    A group asked twice in a frame is computed once but counted as asked; the output is free when its group was already
+    looked at. A defender that fails gets a verdict that fuses everyone, and `error` says why.
+    """
+    cases = [
+        _Case(world=e, frame=frame, defender=defender, views={frame.seen.group: frame.seen})
+        for e, (frame, defender) in enumerate(zip(frames, defenders, strict=True))
+    ]
+    foresee([(frame, frame.seen) for frame in frames])
+    try:
+        running = cases
+        while running:
+            for case in running:
+                case.advance()
+            running = [case for case in running if case.query is not None]
+            _look(perceive, [(c, g) for c in running if c.query is not None for g in c.query.groups])
+        _look(perceive, [(c, c.verdict.collaborators) for c in cases if c.verdict is not None])
+    finally:
+        for case in cases:
+            case.close()
+    return [_judgement(case) for case in cases]
+
+
+def _look(perceive: Perceive, wanted: Sequence[tuple[_Case, frozenset[int]]]) -> None:
+    """Compute the views that are not there yet, all worlds in one call."""
+    there = [(case, group & case.present) for case, group in wanted]
+    missing = {(case.world, group): case for case, group in there if group not in case.views}
+    if missing:
+        views = perceive(list(missing))
+        for (pair, case), view in zip(missing.items(), views, strict=True):
+            case.views[pair[1]] = view
+        foresee([(case.frame, view) for case, view in zip(missing.values(), views, strict=True)])
+
+
+def _judgement(case: _Case) -> Judgement:
+    assert case.verdict is not None
+    return Judgement(
+        verdict=case.verdict,
+        output=case.views[case.verdict.collaborators & case.present],
+        groups=tuple(case.groups),
+        verifications=case.verifications,
+        error=case.error,
+    )
+
+
+def suspicion(defender: Defender, n_vehicles: int) -> np.ndarray:
+    """The defender's belief padded to every vehicle: probability that each lies, zeros where it says nothing."""
+    padded = np.zeros(n_vehicles, dtype=np.float32)
+    belief = np.asarray(defender.belief(), dtype=np.float32)[:n_vehicles]
+    padded[: len(belief)] = belief
+    return padded

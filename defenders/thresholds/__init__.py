@@ -1,0 +1,1 @@
+"""Similarity thresholds that ship, by group size."""

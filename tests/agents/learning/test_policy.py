@@ -1,0 +1,133 @@
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from agents.learning import ppo
+from agents.learning.policy import Policy, load_policy, policy_names, save_policy
+from agents.sb3 import make_vec_env
+from cp_env.world.scene_cache import SceneBank
+from defenders import names
+from tests.agents.conftest import FRAMES
+
+K = 2
+KINDS = [
+    pytest.param({"joint": False, "recurrent": False}, id="shared"),
+    pytest.param({"joint": True, "recurrent": True}, id="joint-recurrent"),
+]
+
+
+@cache
+def learnt(bank: SceneBank, seed: int, **kind: bool) -> Any:
+    """A learner that several tests look at and none changes."""
+    return learner(bank, seed, **kind)
+
+
+def learner(bank: SceneBank, seed: int, *, joint: bool = False, recurrent: bool = False) -> Any:
+    """A learner after two updates, each of two steps of the optimiser."""
+    if recurrent:
+        pytest.importorskip("sb3_contrib")
+    env = make_vec_env(2, bank=bank, max_frames=FRAMES, n_attackers=K, joint=joint)
+    batch = {"n_steps": FRAMES, "batch_size": FRAMES * env.num_envs, "n_epochs": 2}
+    return ppo.make_ppo(env, seed, recurrent=recurrent, **batch).learn(2 * FRAMES * env.num_envs)
+
+
+def exported(model: Any, joint: bool = False) -> Policy:
+    return ppo.export(model, "prbi", {"max_frames": FRAMES}, joint=joint, seed=0)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_same_seed_learns_the_same_policy_bit_for_bit(bank: SceneBank, kind: dict[str, bool]) -> None:
+    models = learnt(bank, 0, **kind), learner(bank, 0, **kind), learnt(bank, 1, **kind)
+    one, two, other = (model.policy.state_dict() for model in models)
+    assert all(torch.equal(one[key], two[key]) for key in one)
+    assert not all(torch.equal(one[key], other[key]) for key in one)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_policy_plays_without_sb3_what_sb3_plays(bank: SceneBank, tmp_path: Path, kind: dict[str, bool]) -> None:
+    model = learnt(bank, 0, **kind)
+    save_policy(exported(model, kind["joint"]), tmp_path / "mine.safetensors")
+    policy = load_policy(tmp_path / "mine.safetensors")
+    seats = 3 if kind["joint"] else 3 * K
+    state, rng = None, np.random.default_rng(0)
+    for frame in range(4):
+        seen = rng.uniform(-1, 1, (seats, *model.observation_space.shape)).astype(np.float32)
+        expected, state = model.predict(seen, state, np.full(seats, frame == 0), deterministic=True)
+        played = policy(seen.reshape(3, K, -1))
+        assert played.shape == (3, K, 8)
+        np.testing.assert_allclose(played.reshape(seats, -1), expected, atol=1e-6)
+    again = policy(seen.reshape(3, K, -1))
+    policy.reset()
+    forgot = policy(seen.reshape(3, K, -1))
+    assert np.array_equal(again, forgot) != kind["recurrent"]  # it remembers four frames, or has no memory
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_learner_begins_where_a_policy_stands(bank: SceneBank, kind: dict[str, bool]) -> None:
+    model, fresh = learnt(bank, 0, **kind), learner(bank, 1, **kind)
+    ppo.adopt(fresh, exported(model, kind["joint"]))
+    seen = np.random.default_rng(0).uniform(-1, 1, (4, *model.observation_space.shape)).astype(np.float32)
+    expected, _ = model.predict(seen, deterministic=True)
+    np.testing.assert_array_equal(fresh.predict(seen, deterministic=True)[0], expected)
+    with pytest.raises(ValueError, match="another shape"):
+        ppo.adopt(ppo.make_ppo(make_vec_env(2, bank=bank, knowledge="gray-box"), 0), exported(model, kind["joint"]))
+
+
+def test_a_policy_survives_the_disk(bank: SceneBank, tmp_path: Path) -> None:
+    policy = exported(learnt(bank, 0, joint=True, recurrent=True), joint=True)
+    save_policy(policy, tmp_path / "mine.safetensors")
+    loaded = load_policy(tmp_path / "mine.safetensors")
+    assert (loaded.defender, loaded.knobs, loaded.notes, loaded.joint) == (
+        ("prbi", {"max_frames": FRAMES}, policy.notes, True)
+    )
+    seen = np.zeros((1, K, policy.n_inputs // K), np.float32)
+    drawn = loaded(seen, np.random.default_rng(0))
+    assert (np.abs(drawn) <= 1).all() and not np.allclose(drawn, loaded(seen))
+    with pytest.raises(ValueError, match="reads observations of"):
+        loaded(seen[..., :-1])
+
+
+def test_what_remembers_some_does_not_serve_others(bank: SceneBank) -> None:
+    policy = exported(learnt(bank, 0, joint=True, recurrent=True))
+    policy(np.zeros((4, policy.n_inputs), np.float32))
+    with pytest.raises(ValueError, match="remembers 4 liars, not 2"):
+        policy(np.zeros((2, policy.n_inputs), np.float32))
+
+
+def test_a_checkpoint_brings_back_network_optimiser_and_clock(bank: SceneBank, tmp_path: Path) -> None:
+    model = learnt(bank, 0, joint=False, recurrent=False)
+    fresh = ppo.make_ppo(make_vec_env(2, bank=bank, max_frames=FRAMES), 5)
+    ppo.save_checkpoint(model, tmp_path / "checkpoint.pt")
+    ppo.load_checkpoint(fresh, tmp_path / "checkpoint.pt")
+    assert fresh.num_timesteps == model.num_timesteps > 0
+    before, after = model.policy.state_dict(), fresh.policy.state_dict()
+    assert all(torch.equal(before[key], after[key]) for key in before)
+    moments, theirs = (m.policy.optimizer.state_dict()["state"] for m in (fresh, model))
+    assert moments and all(torch.equal(v["exp_avg"], theirs[k]["exp_avg"]) for k, v in moments.items())
+    (tmp_path / "checkpoint.pt").write_bytes(b"torn")
+    with pytest.raises(ValueError, match=r"checkpoint\.pt.*delete it"):
+        ppo.load_checkpoint(fresh, tmp_path / "checkpoint.pt")
+
+
+@pytest.mark.parametrize("content", [None, b"torn"])
+def test_broken_policy_files_are_named(content: bytes | None, tmp_path: Path) -> None:
+    path = tmp_path / "mine.safetensors"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(ValueError, match=r"mine\.safetensors"):
+        load_policy(path)
+    with pytest.raises(ValueError, match="unknown policy 'nobody'"):
+        load_policy("nobody")
+
+
+@pytest.mark.parametrize("name", policy_names())
+def test_shipped_policies_are_small_and_name_a_defender(name: str) -> None:
+    policy = load_policy(name)
+    assert policy.defender.partition(":")[0] in names()
+    assert policy.knobs and sum(weight.numel() for weight in policy.weights) < 50_000

@@ -1,0 +1,138 @@
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import agents
+from agents.learning import training
+from agents.learning.callbacks import read_curve
+from agents.learning.policy import load_policy
+from agents.learning.rollout import play
+from agents.learning.sweep import Run, keep, plan_sweep, slug, strongest, summarise, sweep, write_table
+from agents.learning.training import Recipe, train
+from cp_env.evaluation import Protocol
+from cp_env.world.scene_cache import SceneBank
+from tests.agents.conftest import FRAMES
+
+SMALL = Recipe(frames=12, worlds=2, every=1, max_frames=FRAMES, n_scenes=2, n_holdout=2)
+
+
+class Killed(Exception):
+    pass
+
+
+@pytest.fixture(autouse=True)
+def toy(bank: SceneBank, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Segments of six frames on the toy crossings."""
+    monkeypatch.setattr(training, "open_bank", lambda scenes, n_scenes: bank)
+    monkeypatch.setitem(training.PPO_KNOBS, "n_steps", FRAMES)
+    monkeypatch.setitem(training.PPO_KNOBS, "batch_size", 6)
+    monkeypatch.setitem(training.PPO_KNOBS, "n_epochs", 2)
+
+
+def protocol(bank: SceneBank) -> Protocol:
+    return Protocol(scenes=bank.source, names=bank.source.names(), frames=FRAMES)
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    names = ("policy.safetensors", "curve.json", "recipe.json")
+    return {name: (folder / name).read_bytes() for name in names}
+
+
+@pytest.mark.parametrize("knobs", [{}, {"joint": True, "knowledge": "white-box", "recurrent": True}], ids=str)
+def test_a_killed_run_goes_on_as_if_nothing_had_happened(tmp_path: Path, knobs: dict[str, object]) -> None:
+    if "recurrent" in knobs:
+        pytest.importorskip("sb3_contrib")
+    recipe = replace(SMALL, **knobs)
+    curve = train(recipe, tmp_path / "whole")
+    assert [look["frames"] for look in curve] == [0, 6, 12]
+
+    def kill(frames: int) -> None:
+        if frames == 8:
+            raise Killed
+
+    with pytest.raises(Killed):
+        train(recipe, tmp_path / "killed", tell=kill)
+    assert len(read_curve(tmp_path / "killed")) == 2
+    seen: list[int] = []
+    assert train(recipe, tmp_path / "killed", tell=seen.append) == curve
+    assert seen == [8, 10, 12]  # the first segment is not played again
+    assert files(tmp_path / "killed") == files(tmp_path / "whole")
+    train(recipe, tmp_path / "killed", tell=kill)  # finished: nothing is left to do
+
+
+def test_more_frames_go_on_and_another_recipe_is_refused(tmp_path: Path) -> None:
+    train(replace(SMALL, frames=6), tmp_path / "grown")
+    assert train(SMALL, tmp_path / "grown") == train(SMALL, tmp_path / "whole")
+    with pytest.raises(ValueError, match="another seed, gamma; choose another folder"):
+        train(replace(SMALL, seed=1, gamma=0.5), tmp_path / "grown")
+
+
+def test_a_run_begins_where_a_policy_stands(bank: SceneBank, tmp_path: Path) -> None:
+    train(SMALL, tmp_path / "first")
+    policy = load_policy(tmp_path / "first" / "policy.safetensors")
+    again = play(policy, protocol(bank), bank, defender="prbi")
+    assert again.damage.mean() == pytest.approx(policy.notes["holdout_damage"])
+    assert policy.notes["holdout_damage"] == max(look["damage"] for look in read_curve(tmp_path / "first"))
+    assert (policy.defender, policy.joint, policy.knobs) == ("prbi", False, SMALL.knobs)
+    frozen = replace(SMALL, begin=str(tmp_path / "first" / "policy.safetensors"), learning_rate=0.0, frames=6)
+    train(frozen, tmp_path / "second")
+    same = load_policy(tmp_path / "second" / "policy.safetensors")
+    assert all((mine == theirs).all() for mine, theirs in zip(same.weights, policy.weights, strict=True))
+
+
+def test_bad_recipes_are_refused() -> None:
+    with pytest.raises(ValueError, match="unknown defender"):
+        Recipe(defender="nobody")
+    with pytest.raises(ValueError, match="every must be at least 1, not 0"):
+        Recipe(every=0)
+
+
+def plan(root: Path) -> list[Run]:
+    configurations = ["shared", "joint:joint=True,knowledge=white-box,frames=12"]
+    base = replace(SMALL, frames=6)
+    return plan_sweep(base, defenders=["prbi", "robosac"], configurations=configurations, seeds=[0], root=root)
+
+
+def test_a_sweep_killed_and_resumed_gives_the_same_table(tmp_path: Path) -> None:
+    whole, killed = plan(tmp_path / "whole"), plan(tmp_path / "killed")
+    assert list(sweep(whole, 1)) == [6, 18, 24, 36]
+    assert next(sweep(killed, 1)) == 6  # one run, then nobody asks for more
+    train(replace(killed[1].recipe, frames=6), killed[1].folder)  # the next was killed half-way
+    list(sweep(killed, 1))
+    tables = [write_table(summarise(runs), runs[0].root, {"seeds": [0]}) for runs in (whole, killed)]
+    assert tables[0] == tables[1] and tables[0].count("(kept)") == 2
+    assert (tmp_path / "whole" / "sweep.json").read_bytes() == (tmp_path / "killed" / "sweep.json").read_bytes()
+    lines = json.loads((tmp_path / "whole" / "sweep.json").read_text())["lines"]
+    assert [line["configuration"] for line in lines] == ["shared", "joint", "shared", "joint"]
+    kept = keep(whole, tmp_path / "strongest")
+    assert sorted(path.name for path in kept) == ["prbi.safetensors", "robosac.safetensors"]
+    for defender, run in strongest(whole).items():
+        mine = [other.best["damage"] for other in whole if other.recipe.defender == defender]
+        assert run.best["damage"] == max(mine)
+        policy = load_policy(tmp_path / "strongest" / f"{slug(defender)}.safetensors")
+        assert policy.notes["holdout_damage"] == max(mine) and policy.joint == run.recipe.joint
+
+
+@pytest.mark.parametrize(
+    ("configurations", "match"),
+    [([], "at least one"), (["a", "a:gamma=0.5"], "distinct"), (["a:speed=3"], "speed"), (["a:seed=3"], "seed")],
+)
+def test_bad_sweeps_are_refused(configurations: list[str], match: str, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=match):
+        plan_sweep(SMALL, defenders=["prbi"], configurations=configurations, seeds=[0], root=tmp_path)
+
+
+def test_every_attacker_meets_the_same_episodes(bank: SceneBank) -> None:
+    honest = play(agents.make("none"), protocol(bank), bank, defender="none")
+    assert honest.damage.tolist() == [0.0, 0.0] and honest.frames.tolist() == [FRAMES] * 2
+    assert honest.excluded.tolist() == [0.0, 0.0]
+    random = agents.make("random")
+    twice = [play(random, protocol(bank), bank, defender="prbi", batch=batch) for batch in (2, 2, 1)]
+    assert twice[0].damage.sum() > 0
+    for other in twice[1:]:  # whoever its neighbours are, and whatever was played before
+        np.testing.assert_allclose(other.damage, twice[0].damage, rtol=1e-5)

@@ -1,0 +1,142 @@
+"""Laws of the action maps, and what the numbers of a guided action do."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from cp_env.envs.actions.guided import Guidance
+from cp_env.envs.actions.registry import make_action
+from cp_env.perturbation.channel import norm_of
+from cp_env.perturbation.objective import adversarial_loss
+from cp_env.settings import ACTIONS
+from cp_env.world.scene_cache import SceneBank
+from cp_env.world.situation import Situation
+from cp_env.world.world import World
+
+E, K = 2, 2
+STRENGTH, SPOOF, DRIFT, X, Y, WIDTH, PERSISTENCE, GATE = range(8)
+
+
+def situation(bank: SceneBank, norm: str = "linf", grace_frames: int = 0) -> Situation:
+    world = World(E, bank=bank, norm=norm, grace_frames=grace_frames, attackers=(1, 2), max_frames=6, defender="none")
+    world.reset([0, 1])
+    return world.situation()
+
+
+def guided(**numbers: float) -> np.ndarray:
+    """The same guided action for every slot: full strength unless said otherwise."""
+    action = np.zeros((E, K, 8), dtype=np.float32)
+    action[..., STRENGTH] = 1.0
+    for name, value in numbers.items():
+        action[..., globals()[name]] = value
+    return action
+
+
+@pytest.mark.parametrize("norm", ["linf", "l2"])
+@pytest.mark.parametrize("name", ACTIONS)
+def test_every_action_lands_in_the_ball_and_is_deterministic(bank: SceneBank, name: str, norm: str) -> None:
+    rng = np.random.default_rng(0)
+    here = situation(bank, norm)
+    maps = [make_action(name, 128, 32) for _ in range(2)]
+    for scale in (0.3, 1.0, 50.0):
+        actions = maps[0].checked(rng.normal(0, scale, (E, K, *maps[0].space.shape)), (E, K))
+        first, second = (m(actions, here) for m in maps)
+        assert torch.equal(first, second)
+        assert tuple(first.shape) == (E, K, 128, 32, 32)
+        assert (norm_of(first, norm) <= here.budget * (1 + 1e-5)).all()
+
+
+@pytest.mark.parametrize("name", ACTIONS)
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_actions_that_are_not_numbers_are_refused(name: str, bad: float) -> None:
+    action_map = make_action(name, 4, 8)
+    actions = np.zeros((E, K, *action_map.space.shape))
+    actions[0, 1].flat[0] = bad
+    with pytest.raises(ValueError, match="finite"):
+        action_map.checked(actions, (E, K))
+
+
+@pytest.mark.parametrize("name", ACTIONS)
+def test_wrong_shapes_are_refused_and_large_values_clipped(name: str) -> None:
+    action_map = make_action(name, 4, 8)
+    with pytest.raises(ValueError, match="shape"):
+        action_map.checked(np.zeros((E, K, 3)), (E, K))
+    clipped = action_map.checked(np.full((E, K, *action_map.space.shape), 7.0), (E, K))
+    assert (clipped == 1.0).all()
+
+
+def test_full_is_the_raw_map() -> None:
+    assert make_action("full", 4, 8).space.shape == (4, 8, 8)
+
+
+def test_full_scales_by_the_budget(bank: SceneBank) -> None:
+    actions = np.random.default_rng(0).uniform(-1, 1, (E, K, 128, 32, 32)).astype(np.float32)
+    delta = make_action("full", 128, 32)(actions, situation(bank))
+    np.testing.assert_allclose(delta, 0.3 * actions, rtol=1e-6)
+
+
+def test_basis_directions_differ_and_zero_is_silence(bank: SceneBank) -> None:
+    basis, here = make_action("basis", 128, 32), situation(bank)
+    assert not basis(np.zeros((E, K, 16), np.float32), here).any()
+    one, two = (basis(np.tile(np.eye(16, dtype=np.float32)[i], (E, K, 1)), here).flatten() for i in (0, 1))
+    assert abs(float(torch.nn.functional.cosine_similarity(one, two, dim=0))) < 0.3
+
+
+def test_guided_ranges_by_hand() -> None:
+    low, middle, high = (Guidance.read(torch.full((1, 1, 8), v), 32.0) for v in (-1.0, 0.0, 1.0))
+    assert [g.strength.item() for g in (low, middle, high)] == [0.0, 0.5, 1.0]
+    assert [g.x.item() for g in (low, middle, high)] == [-32.0, 0.0, 32.0]
+    assert [g.width.item() for g in (low, middle, high)] == [4.0, 16.0, 64.0]
+    assert [g.fires.item() for g in (low, middle, high)] == [0.0, 1.0, 1.0]
+
+
+def test_guided_does_more_damage_than_noise_of_the_same_size(bank: SceneBank) -> None:
+    here = situation(bank)
+    noise = torch.randn((E, K, 128, 32, 32), generator=torch.Generator().manual_seed(0)).sign() * here.budget
+    assert (_loss(here, make_action("guided", 128, 32)(guided(), here)) > _loss(here, noise)).all()
+
+
+def _loss(here: Situation, delta: torch.Tensor) -> torch.Tensor:
+    poses = here.ego_T_sender.gather(1, here.attackers[..., None].expand(-1, -1, 3))
+    maps = here.received.clone()
+    for e in range(E):
+        maps[e, here.attackers[e]] += here.detector.warp(delta[e], poses[e])
+    dense = here.detector.perceive(maps, here.coverage, torch.arange(E), here.fused)
+    return adversarial_loss(dense, here.clean, hide=0.5, spoof=0.5, drift=0.5)
+
+
+def test_the_strength_is_the_radius_and_the_gate_is_a_gate(bank: SceneBank) -> None:
+    here = situation(bank)
+    half = make_action("guided", 128, 32)(guided(STRENGTH=0.0), here)
+    np.testing.assert_allclose(norm_of(half, "linf"), 0.15, rtol=1e-5)
+    assert not make_action("guided", 128, 32)(guided(GATE=-0.5), here).any()
+    assert not make_action("guided", 128, 32)(guided(STRENGTH=-1.0), here).any()
+
+
+def test_the_aim_moves_the_damage(bank: SceneBank) -> None:
+    here = situation(bank)
+    changed = []
+    for x in (-0.6, 0.6):
+        delta = make_action("guided", 128, 32)(guided(X=x, WIDTH=-1.0), here)
+        poses = here.ego_T_sender.gather(1, here.attackers[..., None].expand(-1, -1, 3))
+        landed = here.detector.warp(delta, poses).abs().mean((0, 1, 2, 3))
+        changed.append(float((landed * torch.arange(32)).sum() / landed.sum()))
+    assert changed[0] < changed[1] - 3, "the mean column of the perturbation follows the aim"
+
+
+def test_persistence_starts_from_the_last_lie_and_reset_forgets_it(bank: SceneBank) -> None:
+    here = situation(bank)
+    action_map = make_action("guided", 128, 32)
+    first = action_map(guided(PERSISTENCE=1.0), here)
+    second = action_map(guided(PERSISTENCE=1.0), here)
+    assert not torch.equal(first, second)
+    action_map.reset([0])
+    third = action_map(guided(PERSISTENCE=1.0), here)
+    assert torch.equal(third[0], first[0]), "world 0 begins again"
+    assert not torch.equal(third[1], first[1]), "world 1 goes on"
+
+
+def test_nothing_is_sent_in_grace_frames(bank: SceneBank) -> None:
+    assert not make_action("guided", 128, 32)(guided(), situation(bank, grace_frames=1)).any()

@@ -1,0 +1,167 @@
+"""The page: one file that fetches nothing, shows names as they are, and sorts its tables in a real browser."""
+
+from __future__ import annotations
+
+import base64
+import io
+import re
+from collections.abc import Iterator
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from cp_env.evaluation import Store, about
+from cp_env.evaluation.analysis.results import find, write_json
+from cp_env.evaluation.analysis.worst_episodes import Worst
+from cp_env.evaluation.plan.grid import Axes
+from cp_env.evaluation.report.arena import pictures, write_html, write_markdown
+from cp_env.evaluation.report.leaderboard import write_leaderboard
+from cp_env.rendering.frame import write_gif
+from tests.helpers.browser import CHROMIUM, DRIVER, Browser, browser
+from tests.helpers.toy_evaluation import PROTOCOL, record
+
+HOSTILE = '<script>hacked = 1</script><img src=x onerror="hacked = 1">"&\'|$x_1$'
+DEFENDERS = ("none", "wall", HOSTILE, "seer")
+ATTACKS = ("loud", "sly", f"q:name={HOSTILE}")
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A report of figures that nobody played, with names that nobody should trust."""
+    folder = tmp_path_factory.mktemp("page")
+    axes = Axes(defenders=DEFENDERS, attacks=ATTACKS, ks=(2, 1, 3), budgets=(0.3, 0.1))
+    boards = axes.boards(PROTOCOL, {"mean": Store(folder)})
+    for board in boards:
+        for number, cell in enumerate(board.cells):
+            harm = 0.0 if cell.attack == "none" else (number * 37 % 100) / 100
+            frames = {"damage": (0.0, harm, harm), "error": "why" if number == 3 else None}
+            made = [record(s, "110" if harm < 0.5 else "01", 3 + len(s) % 2, **frames) for s in cell.names]
+            board.store.write(cell, board.protocol, made)
+    found = find(boards, folder, told=["seer"], resamples=20, failed=f"{HOSTILE} against nobody: it broke")
+    gif = write_gif([np.full((80, 120, 3), shade, np.uint8) for shade in (20, 200)], folder / "film.gif")
+    worst = {name: Worst(board.cells[0], 0.5, gif) for name, board in zip(DEFENDERS, boards, strict=False)}
+    found = replace(found, worst=worst)
+    conditions = about(PROTOCOL, f"cp-arena --defenders '{HOSTILE}'", seeds=[0], workers=2, threads=1)
+    write_markdown(found, folder / "arena.md", conditions)
+    write_json(found, folder, conditions)
+    drawn = pictures(found)
+    write_leaderboard(found, drawn, folder / "leaders.md", conditions)
+    return write_html(found, drawn, folder, conditions)
+
+
+class Reader(HTMLParser):
+    """Collects tags and what they refer to."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.tags: list[str] = []
+        self.links: list[str] = []
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        self.links += [value or "" for name, value in attrs if name in ("src", "href")]
+        assert not any(name.startswith("on") for name, _ in attrs)
+
+
+def test_everything_is_inside_and_names_are_text(page: Path) -> None:
+    text = page.read_text()
+    read = Reader(text)
+    assert all(link.startswith(("data:", "#")) for link in read.links)
+    assert read.tags.count("script") == 1 and HOSTILE not in text
+    assert read.tags.count("img") == sum(link.startswith("data:image") for link in read.links) == 3 + 2 + 4
+    assert "hacked = 1&lt;/script&gt;" in text
+    for svg in re.findall(r"data:image/svg\+xml;base64,([^\"]+)", text):
+        assert b"<script" not in base64.b64decode(svg)
+    for gif in re.findall(r"data:image/gif;base64,([^\"]+)", text):
+        assert Image.open(io.BytesIO(base64.b64decode(gif))).n_frames == 2
+    assert all(version in text for version in ("torch", "numpy", "threads", "seeds", "workers"))
+
+
+def test_the_same_findings_give_the_same_bytes(page: Path) -> None:
+    svg = (page.parent / "leaders" / "trade-off.svg").read_text()
+    assert "<dc:date>" not in svg and svg.count("<g id=") > 10
+
+
+def test_markdown_tables_hold_together_whatever_the_names(page: Path) -> None:
+    for file in ("arena.md", "leaders.md"):
+        tables = re.findall(r"(?:^\|.*\n)+", (page.parent / file).read_text(), re.MULTILINE)
+        assert len(tables) == 2 + 2 + 2 + 1
+        for table in tables:
+            lines = table.splitlines()
+            assert len({len(re.findall(r"(?<!\\)\|", line)) for line in lines}) == 1
+            assert "<script>" not in table
+
+
+# ── in a real browser ────────────────────────────────────────────────────────────────────────────────────────────────
+
+BROWSER = pytest.mark.skipif(not (CHROMIUM and DRIVER), reason="no chromium and chromedriver: apt-get install them")
+
+
+@pytest.fixture(scope="module")
+def window(page: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    with browser(tmp_path_factory.mktemp("browser") / "profile") as opened:
+        opened.open(page)
+        yield opened
+
+
+@BROWSER
+def test_it_opens_without_a_complaint_and_asks_for_nothing(window: Browser, page: Path) -> None:
+    assert window.run("return document.title") == "Arena"
+    assert window.log("browser") == []
+    asked = [url for url in window.requests() if not url.startswith(("data:", "chrome:"))]  # the browser's own pages
+    assert asked == [page.resolve().as_uri()]
+    assert window.run("return typeof hacked") == "undefined"
+    drawn = window.run("return [...document.images].map(i => i.complete && i.naturalWidth > 0)")
+    assert len(drawn) == 9 and all(drawn)
+    assert HOSTILE in window.run("return [...document.querySelectorAll('td')].map(d => d.textContent)")
+
+
+COLUMN = """
+const table = document.querySelector(arguments[0]);
+return [...table.tBodies[0].rows].map(row => row.cells[arguments[1]].textContent);
+"""
+
+
+@BROWSER
+def test_a_click_on_a_heading_sorts_by_it_and_another_turns_it_round(window: Browser) -> None:
+    table, heading = "#all-figures table", "#all-figures th:nth-child({}) button"
+
+    def column(number: int) -> list[str]:
+        shown: list[str] = window.run(COLUMN, table, number - 1)
+        return shown
+
+    before = column(7)  # AP@.5 with its interval
+    means = [float(text.split()[0]) for text in before]
+    assert means != sorted(means)
+    window.click(heading.format(7))
+    assert [float(text.split()[0]) for text in column(7)] == sorted(means)
+    window.click(heading.format(7))
+    assert [float(text.split()[0]) for text in column(7)] == sorted(means, reverse=True)
+    for turn in (1, 2):  # what came back: empty where nobody lies, and that stays last
+        window.click(heading.format(9))
+        shown = column(9)
+        values = [float(text.split()[0]) for text in shown if text != "–"]
+        assert 0 < len(values) < len(shown) and shown[len(values) :] == ["–"] * (len(shown) - len(values))
+        assert values == sorted(values, reverse=turn == 2)
+    window.click(heading.format(1))
+    assert column(1) == sorted(column(1), key=(HOSTILE, "none", "seer", "wall").index)
+    sorted_by = window.run("return [...document.querySelectorAll('#all-figures [aria-sort]')].map(h => h.cellIndex)")
+    assert sorted_by == [0]
+
+
+@BROWSER
+@pytest.mark.parametrize("width", [420, 1280])
+def test_it_fits_a_narrow_and_a_wide_window(window: Browser, width: int) -> None:
+    window.resize(width, 900)
+    assert window.run("return document.documentElement.scrollWidth <= innerWidth")
+    inside = (
+        "return [...document.querySelectorAll('p, h1, h2, td, th, dd')].filter(e => e.scrollWidth > e.clientWidth + 1)"
+    )
+    squeezed: list[Any] = window.run(f"{inside}.map(e => e.textContent)")
+    assert squeezed == []

@@ -1,0 +1,76 @@
+"""The benchmark's report, and the program that writes it."""
+
+from __future__ import annotations
+
+import io
+import json
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rich.console import Console
+
+from cp_env.evaluation import Crew, screen
+from tests.helpers.toy_evaluation import SOURCE, open_toy, record, rows_of
+
+
+def test_the_report_says_how_to_make_it_again(whole: Path) -> None:
+    data = json.loads((whole / "results.json").read_text())
+    assert data["about"]["command"] == "python x.py"
+    assert data["about"]["protocol"]["names"] == ["toy-0", "toy-1"]
+    assert data["about"]["versions"]["torch"]
+    assert len(data["rows"]) == 4
+    text = (whole / "results.md").read_text()
+    tables = [[line for line in part.splitlines() if line.startswith("|")] for part in text.split("```")[::2]]
+    for table in tables:
+        assert len(table) == 2 + 4
+        assert len({line.count("|") for line in table}) == 1
+
+
+def test_the_table_fits_a_terminal_of_eighty_columns() -> None:
+    rows = rows_of(
+        none__none=[record("a", "1111", 4, liars=())], prbi__pgd=[record("a", "10", 4), record("b", "10", 4)]
+    )
+    rows["long"] = replace(rows["prbi__pgd"], defender="prbi:threshold=calibrated", n_errors=2)
+    console = Console(width=80, file=io.StringIO())
+    console.print(screen(list(rows.values())))
+    shown = console.file.getvalue()  # type: ignore[attr-defined]
+    assert max(map(len, shown.splitlines())) <= 80
+    assert "…" not in shown
+    assert "nobody lies" in shown
+    assert "pgd, 2 liars" in shown
+
+
+@pytest.fixture
+def program(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+    """`examples/benchmark.py`, on the toy scenes."""
+    monkeypatch.setattr(sys, "argv", ["benchmark.py"])
+    from examples import benchmark
+
+    monkeypatch.setattr("agents.arena.conditions.open_source", lambda _: SOURCE)
+    monkeypatch.setattr("cp_env.evaluation.plan.runs.open_source", lambda _: SOURCE)
+    monkeypatch.setattr(benchmark.evaluation, "open_bank", open_toy)
+    monkeypatch.setattr(benchmark.evaluation, "Crew", lambda **knobs: Crew(**knobs, open_bank=open_toy))
+    yield benchmark
+
+
+def test_the_program_writes_tables_and_a_film_and_goes_on(
+    program: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    args = program.Args(frames=2, defenders=("none",), attackers=("none", "pgd:steps=1"), ks=(2,), out=tmp_path / "out")
+    program.main(args)
+    assert {"results.json", "results.md", "episode.gif", "cells"} == {
+        file.name for file in (tmp_path / "out").iterdir()
+    }
+    assert "AP@.5" in capsys.readouterr().out
+    stamps = {file: file.stat().st_mtime_ns for file in (tmp_path / "out" / "cells").iterdir()}
+    program.main(replace(args, gif=False))
+    assert stamps == {file: file.stat().st_mtime_ns for file in (tmp_path / "out" / "cells").iterdir()}
+
+
+def test_the_program_refuses_more_scenes_than_there_are(program: Any, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="n_scenes must be 1 to 2"):
+        program.main(program.Args(n_scenes=3, out=tmp_path))

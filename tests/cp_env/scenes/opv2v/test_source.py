@@ -1,0 +1,335 @@
+"""OPV2V: CARLA's axes by hand, small drives written by hand, true and noisy poses, broken files named."""
+
+from __future__ import annotations
+
+import pickle
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cp_env.scenes import open_source
+from cp_env.scenes.errors import BrokenData
+from cp_env.scenes.formats import pcd
+from cp_env.scenes.opv2v.axes import carla_motion, from_carla, mirrored, planar, to_carla
+from cp_env.scenes.opv2v.files import read_note, survey
+from cp_env.scenes.opv2v.source import OPV2V
+
+ANGLE = st.floats(-180, 180)
+
+
+def at(pose: list[float], point: list[float]) -> list[float]:
+    """Our world's coordinates of a point of a body as a file of CARLA's stores it."""
+    found = from_carla(np.array(pose, dtype=float)) @ [*mirrored(np.array(point, dtype=float)), 1.0]
+    return [float(x) for x in np.round(found, 9) + 0.0]
+
+
+def test_axes_by_hand() -> None:
+    """A sensor 2 m above CARLA's (10, 20): to us it stands at (10, -20); its right is south when it looks east."""
+    east = [10, 20, 2, 0, 0, 0]
+    assert at(east, [1, 0, 0]) == [11, -20, 2], "ahead"
+    assert at(east, [0, 1, 0]) == [10, -21, 2], "to its right"
+    assert at(east, [0, 0, 1]) == [10, -20, 3], "up"
+    right_about = [10, 20, 2, 0, 90, 0]
+    assert at(right_about, [1, 0, 0]) == [10, -21, 2], "a yaw of 90° turns right, to the south"
+    assert at(right_about, [0, 1, 0]) == [9, -20, 2], "its right is then west"
+    assert at([0, 0, 0, 0, 0, 90], [1, 0, 0]) == [0, 0, 1], "a positive pitch lifts the nose"
+    assert at([0, 0, 0, 90, 0, 0], [0, 1, 0]) == [0, 0, -1], "a positive roll lowers the right side"
+    assert planar(from_carla(np.array(right_about, dtype=float)))[2] == pytest.approx(-np.pi / 2)
+
+
+@given(ANGLE, ANGLE, ANGLE)
+def test_both_frames_are_rigid_and_the_turns_come_in_carlas_order(roll: float, yaw: float, pitch: float) -> None:
+    """A body is rolled, then pitched, then turned; the mirror makes neither a reflection nor another length."""
+    pose = np.array([1.0, 2.0, 3.0, roll, yaw, pitch])
+    step = [carla_motion(np.array([0, 0, 0, *turn])) for turn in ((roll, 0, 0), (0, 0, pitch), (0, yaw, 0))]
+    assert np.allclose(carla_motion(pose)[:, :3], step[2][:, :3] @ step[1][:, :3] @ step[0][:, :3])
+    for motion in (carla_motion(pose), from_carla(pose)):
+        assert np.allclose(motion[:, :3] @ motion[:, :3].T, np.eye(3))
+        assert np.linalg.det(motion[:, :3]) == pytest.approx(1)
+
+
+@given(st.floats(-500, 500), st.floats(-500, 500), st.floats(0, 9), st.floats(-3, 3))
+def test_our_pose_goes_to_carla_and_back(x: float, y: float, z: float, yaw: float) -> None:
+    motion = from_carla(np.array(to_carla(x, y, z, yaw)))
+    assert np.allclose(motion[:, 3], [x, y, z])
+    assert planar(motion)[2] == pytest.approx(yaw)
+
+
+# A drive by hand, in CARLA's axes: the road is 10 m up; the ego (7) drives east, a partner (12) 20 m ahead of it drives
+# south, a parked van (3) is met by the partner only; each sensor stands 0.5 m behind and 1.9 m above its vehicle.
+BOX = {"center": [0.1, 0.0, 0.75], "extent": [2.45, 1.06, 0.75], "speed": 0.0}
+VAN = {
+    "location": [115.0, 58.0, 10.1],
+    "angle": [0.0, 180.0, 0.0],
+    "center": [0.0, 0.0, 1.2],
+    "extent": [2.8, 1.0, 1.2],
+}
+ROOF = [[2.0, 0.0, -0.4], [-1.5, 0.5, -0.3]]  # returns from the car that carries the sensor
+
+
+def note(
+    x: float, y: float, yaw: float, vehicles: dict[int, Any], predicted: list[float] | None = None
+) -> dict[str, Any]:
+    body = [x, y, 10.0, 0.0, yaw, 0.0]
+    back = carla_motion(np.array(body)) @ [-0.5, 0.0, 1.9, 1.0]
+    return {
+        "camera0": {"cords": [0.0] * 6, "intrinsic": [[1.0, 0.0], [0.0, 1.0]]},
+        "ego_speed": 18.0,
+        "lidar_pose": [*back.tolist(), 0.0, yaw, 0.0],
+        "plan_trajectory": [[1.0, 2.0, 3.0]],
+        "predicted_ego_pos": predicted or body,
+        "true_ego_pos": body,
+        "vehicles": vehicles,
+    }
+
+
+def dumped(said: dict[str, Any]) -> str:
+    return str(yaml.dump(said, Dumper=getattr(yaml, "CSafeDumper", yaml.SafeDumper)))
+
+
+def loaded(text: str) -> dict[str, Any]:
+    said: dict[str, Any] = yaml.load(text, getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+    return said
+
+
+def write_note(file: Path, said: dict[str, Any], points: list[list[float]]) -> None:
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.with_suffix(".yaml").write_text(dumped(said))
+    pcd.write(file.with_suffix(".pcd"), np.array(points, dtype=np.float32))
+
+
+def write_drive(root: Path, *, frames: int = 4, rsu: bool = False) -> Path:
+    folder = root / "2021_08_16"
+    for k in range(frames):
+        number = f"{69 + 2 * k:06d}"
+        ego, partner = (100.0 + k, 50.0, 0.0), (120.0, 50.0 + k, 90.0)
+        seen = {12: {**BOX, "location": [*partner[:2], 10.0], "angle": [0.0, 90.0, 0.0]}}
+        write_note(folder / "7" / number, note(*ego, seen), [[10.0, 3.0, -1.9], [19.6, -0.5, -1.0], *ROOF])
+        listed = {7: {**BOX, "location": [*ego[:2], 10.0], "angle": [0.0, 0.0, 0.0]}, 3: VAN}
+        write_note(folder / "12" / number, note(*partner, listed), [[4.0, 0.0, -1.9], [8.5 - k, 4.0, -1.2], *ROOF])
+        if rsu:
+            unit = {"lidar_pose": [110.0, 40.0, 16.0, 0.0, 0.0, 0.0], "vehicles": {}}
+            for name in ("-1", "-2"):
+                write_note(folder / name / number, unit, [[0.0, 5.0, -6.0]])
+    return folder
+
+
+def test_a_drive_by_hand(tmp_path: Path) -> None:
+    write_drive(tmp_path)
+    source = OPV2V(tmp_path, stride=1)
+    assert source.names() == ("2021_08_16",)
+    scene = source.load("2021_08_16")
+    assert scene.n_frames == 4 and scene.dt == pytest.approx(0.1)
+    assert scene.connected.tolist() == [0, 1] and scene.rsu is None
+    assert np.allclose(scene.size, [[4.9, 2.12, 1.5], [4.9, 2.12, 1.5], [5.6, 2.0, 2.4]])
+    # names sort as text: "12" comes before "7" and is the ego; centres lie 0.1 m ahead of origins
+    assert np.allclose(scene.pose[0], [[120, -50.1, -np.pi / 2], [100.1, -50, 0], [115, -58, -np.pi]])
+    assert np.allclose(scene.pose[3], [[120, -53.1, -np.pi / 2], [103.1, -50, 0], [115, -58, -np.pi]])
+    (ego, partner), *_ = source.sweeps(scene, [0])
+    assert np.allclose(ego.origin, [120, -50.1, 1.9]) and np.allclose(partner.origin, [100.1, -50, 1.9])
+    # The ego's sensor looks south from 0.4 m north of its middle... of its own car nothing is left
+    assert np.allclose(ego.points, [[0, 0.6 - 4, 0], [-4, 0.6 - 8.5, 0.7]], atol=1e-5)
+    assert np.allclose(partner.points, [[9.4, -3, 0], [19.0, 0.5, 0.9]], atol=1e-5)
+    assert ego.hits is not None and ego.hits.tolist() == [0, 0, 1], "the van"
+    assert partner.hits is not None and partner.hits.tolist() == [1, 0, 0], "the ego"
+
+
+def test_five_frames_a_second_unless_asked_otherwise(tmp_path: Path) -> None:
+    write_drive(tmp_path, frames=5)
+    name = "2021_08_16"
+    assert (OPV2V(tmp_path).load(name).n_frames, OPV2V(tmp_path).load(name).dt) == (3, pytest.approx(0.2))
+    every, third = OPV2V(tmp_path, stride=1), OPV2V(tmp_path, stride=3)
+    assert every.load(name).dt == pytest.approx(0.1) and third.load(name).dt == pytest.approx(0.3)
+    assert (third.load(name).pose[1] == every.load(name).pose[3])[:2].all()
+    consecutive = OPV2V(tmp_path, tick=0.1)
+    assert consecutive.load(name).dt == pytest.approx(0.2) and consecutive.load(name).n_frames == 5
+    assert len({source.digest for source in (OPV2V(tmp_path), every, third, consecutive)}) == 4
+
+
+def test_who_is_met_by_nobody_stands_where_it_says_and_the_absent_stand_nowhere(tmp_path: Path) -> None:
+    folder = write_drive(tmp_path)
+    for number in ("000069", "000071"):
+        said = loaded((folder / "12" / f"{number}.yaml").read_text())
+        (folder / "12" / f"{number}.yaml").write_text(dumped({**said, "vehicles": {}}))
+    scene = OPV2V(tmp_path, stride=1).load("2021_08_16")
+    assert np.isnan(scene.pose[:2, 2]).all() and np.isfinite(scene.pose[2:, 2]).all()
+    assert np.allclose(scene.pose[:, 1, 0], [100.1, 101.1, 102.1, 103.1])
+    for number in ("000073", "000075"):
+        said = loaded((folder / "12" / f"{number}.yaml").read_text())
+        (folder / "12" / f"{number}.yaml").write_text(dumped({**said, "vehicles": {}}))
+    scene = OPV2V(tmp_path, stride=1).load("2021_08_16")
+    assert np.allclose(scene.size[1], [4.9, 2.12, 1.5]) and np.allclose(scene.pose[:, 1, 0], [100, 101, 102, 103])
+
+
+def test_the_first_road_side_unit_is_the_last_agent(tmp_path: Path) -> None:
+    folder = write_drive(tmp_path, rsu=True)
+    assert survey(folder).agents == ("12", "7", "-1")
+    source = OPV2V(tmp_path)
+    scene = source.load("2021_08_16")
+    assert scene.rsu is not None and np.allclose(scene.rsu, [110, -40, 6])
+    unit = source.sweeps(scene, [0])[0][-1]
+    assert np.allclose(unit.origin, scene.rsu) and np.allclose(unit.points, [[0, -5, 0]])
+    without = OPV2V(tmp_path, rsu=False)
+    assert without.load("2021_08_16").rsu is None and len(without.sweeps(scene, [0])[0]) == 2
+    said = loaded((folder / "-1" / "000073.yaml").read_text())
+    said["lidar_pose"][0] += 1
+    (folder / "-1" / "000073.yaml").write_text(dumped(said))
+    with pytest.raises(BrokenData, match=r"-1.000073\.yaml: the road-side unit's lidar_pose is 1\.00 m from its first"):
+        OPV2V(tmp_path).load("2021_08_16")
+
+
+def test_noise_displaces_what_others_send_and_leaves_the_truth_alone(tmp_path: Path) -> None:
+    write_drive(tmp_path, frames=30, rsu=True)
+    name = "2021_08_16"
+    true, noisy = OPV2V(tmp_path, stride=1), OPV2V(tmp_path, stride=1, noise=(0.4, 2.0), seed=3)
+    a, b = true.load(name), noisy.load(name)
+    assert (a.pose == b.pose)[np.isfinite(a.pose)].all() and np.allclose(a.rsu, b.rsu)
+    shifts, turns = [], []
+    for frame, (told, kept) in enumerate(zip(noisy.sweeps(b, range(30)), true.sweeps(a, range(30)), strict=True)):
+        assert (told[0].points == kept[0].points).all(), "the ego's own"
+        for one, other in zip(told, kept, strict=True):
+            assert (one.origin == other.origin).all() and (one.hits == other.hits).all(), frame
+        (near, far), (before, after) = told[1].points[:, :2], kept[1].points[:, :2]
+        turn = np.angle(complex(*(far - near)) / complex(*(after - before)))
+        shift = complex(*near) - complex(*before) * np.exp(1j * turn)
+        assert np.linalg.norm(far - near) == pytest.approx(np.linalg.norm(after - before), abs=1e-4), "rigid"
+        shifts += [shift.real, shift.imag]
+        turns.append(np.rad2deg(turn))
+    assert 0.3 < np.std(shifts) < 0.5 and abs(np.mean(shifts)) < 0.15
+    assert 1.4 < np.std(turns) < 2.6 and abs(np.mean(turns)) < 1.0
+    again, other = (OPV2V(tmp_path, stride=1, noise=(0.4, 2.0), seed=seed) for seed in (3, 4))
+    assert (again.sweeps(b, [5])[0][1].points == noisy.sweeps(b, [5])[0][1].points).all()
+    assert (other.sweeps(b, [5])[0][1].points != noisy.sweeps(b, [5])[0][1].points).any()
+    assert again.digest == noisy.digest and len({true.digest, noisy.digest, other.digest}) == 3
+
+
+def test_localisation_that_all_get_wrong_alike_displaces_nothing(tmp_path: Path) -> None:
+    """Only errors relative to the ego's matter: turn and shift what everybody believes, and nothing changes."""
+    folder = write_drive(tmp_path)
+    for file in sorted(folder.glob("*/*.yaml")):
+        said = loaded(file.read_text())
+        x, y, z, roll, yaw, pitch = said["true_ego_pos"]
+        c, s = np.cos(np.deg2rad(30)), np.sin(np.deg2rad(30))
+        said["predicted_ego_pos"] = [float(c * x - s * y + 4), float(s * x + c * y - 9), z, roll, yaw + 30, pitch]
+        file.write_text(dumped(said))
+    true, predicted = OPV2V(tmp_path), OPV2V(tmp_path, poses="predicted")
+    scene = true.load("2021_08_16")
+    for told, kept in zip(predicted.sweeps(scene, [0, 1]), true.sweeps(scene, [0, 1]), strict=True):
+        for one, other in zip(told, kept, strict=True):
+            assert np.allclose(one.points, other.points, atol=1e-4)
+    file = folder / "7" / "000069.yaml"
+    said = loaded(file.read_text())
+    said["predicted_ego_pos"] = said["true_ego_pos"]
+    partner = folder / "12" / "000069.yaml"
+    told = loaded(partner.read_text())
+    x, y, *rest = told["true_ego_pos"]
+    partner.write_text(dumped({**told, "predicted_ego_pos": [x + 2.0, y, *rest]}))
+    file.write_text(dumped(said))
+    sent = OPV2V(tmp_path, poses="predicted").sweeps(scene, [0])[0][1].points
+    assert np.allclose(sent - true.sweeps(scene, [0])[0][1].points, [-2, 0, 0], atol=1e-4), "the ego errs by 2 m east"
+
+
+def test_a_string_opens_it_and_a_pickle_goes_on(tmp_path: Path) -> None:
+    write_drive(tmp_path / "test")
+    source = open_source(f"opv2v:{tmp_path}?split=test&noise=0.2,0.5&seed=1&vehicles=2&stride=1")
+    assert isinstance(source, OPV2V) and source.name == "opv2v/test" and source.noise == (0.2, 0.5)
+    scene = source.load("2021_08_16")
+    again = pickle.loads(pickle.dumps(source))
+    assert again.digest == source.digest
+    assert (again.sweeps(scene, [2])[0][1].points == source.sweeps(scene, [2])[0][1].points).all()
+
+
+def test_bad_options_are_refused(tmp_path: Path) -> None:
+    write_drive(tmp_path / "train")
+    for options, told in (
+        ({"poses": "wrong"}, "poses must be one of true, predicted"),
+        ({"noise": (0.2,)}, "noise must be two deviations"),
+        ({"noise": (0.2, -1.0)}, "noise must be two deviations"),
+        ({"stride": 0}, "stride must be at least 1"),
+        ({"tick": 0.0}, "tick above 0"),
+        ({"scenes": ("2021",)}, "unknown scenes 2021"),
+        ({"vehicles": 3}, "has 3 vehicles; the most are 2"),
+    ):
+        with pytest.raises(ValueError, match=told):
+            OPV2V(tmp_path, split="train", **options)  # type: ignore[arg-type]
+    with pytest.raises(BrokenData, match="it has the splits train: choose one"):
+        OPV2V(tmp_path)
+    with pytest.raises(BrokenData, match="is no folder"):
+        OPV2V(tmp_path / "nowhere")
+    with pytest.raises(ValueError, match="unknown scene 'x'"):
+        OPV2V(tmp_path, split="train").load("x")
+
+
+def damage(text: str, old: str, new: str) -> str:
+    assert old in text
+    return text.replace(old, new, 1)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("lidar_pose:", "lidar:", "lacks lidar_pose"),
+        ("vehicles: {}", "vehicles: [1, 2]", r"vehicles must be a table by number: got \[1, 2\]"),
+        ("vehicles: {}", "vehicles: !!python/object/apply:os.getcwd []", "is no YAML"),
+        ("- 16.0\n", "- .nan\n", "lidar_pose must be 6 finite numbers"),
+        ("- 16.0\n", "- sixteen\n", "sixteen"),
+        ("lidar_pose:\n", "lidar_pose: [1, 2\n", "is no YAML"),
+        ("vehicles: {}", "vehicles: {5: car}", "vehicle 5 is 'car'"),
+        ("vehicles: {}", "vehicles: {5: {location: [0, 0, 0], angle: [0, 0, 0]}}", "vehicle 5: lacks center"),
+        (
+            "vehicles: {}",
+            "vehicles: {5: {location: [0, 0, 0], angle: [0, 0, 0], center: [0, 0, 0], extent: [1, 0, 1]}}",
+            "vehicle 5: extent .* is not positive",
+        ),
+    ],
+)
+def test_a_broken_note_is_named(old: str, new: str, told: str, tmp_path: Path) -> None:
+    file = write_drive(tmp_path, rsu=True) / "-1" / "000073.yaml"
+    file.write_text(damage(file.read_text(), old, new))
+    with pytest.raises(BrokenData, match=rf"000073\.yaml: .*{told}"):
+        OPV2V(tmp_path).load("2021_08_16")
+
+
+def test_missing_files_empty_sweeps_and_hostile_notes_are_named(tmp_path: Path) -> None:
+    folder = write_drive(tmp_path)
+    scene = OPV2V(tmp_path).load("2021_08_16")
+    pcd.write(folder / "7" / "000069.pcd", np.zeros((0, 3), dtype=np.float32))
+    with pytest.raises(BrokenData, match=r"000069\.pcd: holds no points"):
+        OPV2V(tmp_path).sweeps(scene, [0])
+    (folder / "7" / "000071.pcd").unlink()
+    with pytest.raises(BrokenData, match=r"7.000071\.pcd: is missing"):
+        OPV2V(tmp_path)
+    file = folder / "12" / "000069.yaml"
+    file.write_text("lidar_pose: !!python/object/apply:os.system ['touch stolen']\n")
+    with pytest.raises(BrokenData, match="is no YAML"):
+        read_note(file)
+    with pytest.raises(BrokenData, match="cannot be read"):
+        read_note(folder / "none.yaml")
+    for agent in ("7", "12"):
+        for left in (folder / agent).iterdir():
+            left.unlink()
+    with pytest.raises(BrokenData, match="holds no frame"):
+        OPV2V(tmp_path)
+
+
+def test_skip_broken_lists_what_it_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_drive(tmp_path).rename(tmp_path / "whole")
+    for name in ("cut", "mad", "gone"):
+        write_drive(tmp_path).rename(tmp_path / name)
+    cut = tmp_path / "cut" / "7" / "000073.pcd"
+    cut.write_bytes(cut.read_bytes()[:-1])
+    (tmp_path / "mad" / "12" / "000069.yaml").write_text("vehicles: {}\n")
+    (tmp_path / "gone" / "12" / "000069.pcd").unlink()
+    with pytest.raises(BrokenData, match=r"is missing \(scene gone"):
+        OPV2V(tmp_path)
+    source = OPV2V(tmp_path, skip_broken=True)
+    assert source.names() == ("whole",)
+    left = {item.scene: f"{item.file.name} {item.reason}" for item in source.left_out}
+    assert left.keys() == {"cut", "mad", "gone"}
+    assert "cut short" in left["cut"] and "lacks lidar_pose" in left["mad"] and "is missing" in left["gone"]
+    assert "left out scene cut" in "".join(capsys.readouterr())

@@ -1,0 +1,246 @@
+"""coperception's detection files: what its preprocessing keeps of a scene is read back, and no file runs code."""
+
+from __future__ import annotations
+
+import pickle
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+
+from cp_env.scenes import open_source
+from cp_env.scenes.errors import BrokenData
+from cp_env.scenes.formats.safe_pickle import load_pickled
+from cp_env.scenes.v2xsim import preprocessed
+from cp_env.scenes.v2xsim.anchors import decode, voxel_points
+from cp_env.scenes.v2xsim.preprocessed import V2XSimDet
+from cp_env.types import SceneSource
+from tests.helpers.coperception_files import _targets, write_files
+from tests.helpers.toy_scenes import ToySource
+
+SOURCE = ToySource(n_frames=2, n_connected=3)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The two toy crossings as scenes 5 (test) and 3 (val)."""
+    root = tmp_path_factory.mktemp("det")
+    write_files(SOURCE, root, "test", {"toy-0": 5})
+    write_files(SOURCE, root, "val", {"toy-1": 3})
+    return root
+
+
+@pytest.fixture
+def copy(folder: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(folder, tmp_path / "det"))
+
+
+@pytest.mark.parametrize(("split", "name", "toy"), [("test", "scene_5", "toy-0"), ("val", "scene_3", "toy-1")])
+def test_what_the_files_keep_comes_back(folder: Path, split: str, name: str, toy: str) -> None:
+    source = V2XSimDet(folder, split=split)
+    assert isinstance(source, SceneSource) and source.names() == (name,)
+    scene, truth = source.load(name), SOURCE.load(toy)
+    assert truth.rsu is not None and scene.rsu is not None
+    c, s = np.cos(0.3), np.sin(0.3)  # how the road-side unit is turned in `write_files`
+    for t in range(2):
+        there = scene.pose[t, ~np.isnan(scene.pose[t, :, 0])]
+        place = there[:, :2] @ np.array([[c, s], [-s, c]]) + truth.rsu[:2]
+        order = np.lexsort(np.round(place, 3).T), np.lexsort(np.round(truth.pose[t, :, :2], 3).T)
+        assert_allclose(place[order[0]], truth.pose[t, order[1], :2], atol=1e-3)
+        turn = there[order[0], 2] + 0.3 - truth.pose[t, order[1], 2]
+        assert_allclose(np.sin(turn / 2), 0, atol=1e-4)
+        assert_allclose(place[scene.connected], truth.pose[t, truth.connected, :2], atol=1e-3)
+    sizes = np.sort(scene.size[:, :2], axis=0), np.sort(truth.size[:, :2], axis=0)
+    assert_allclose(*sizes, atol=1e-3)  # as many vehicles, of the same sizes: each was followed through all frames
+    for row, row_truth in zip(source.sweeps(scene, [1]), SOURCE.sweeps(truth, [1]), strict=True):
+        for k, (sweep, sweep_truth) in enumerate(zip(row, row_truth, strict=True)):
+            assert abs(sweep.origin[2] - sweep_truth.origin[2]) <= 0.2 + 1e-6  # half a slice
+            yaw = 0.3 if k == 3 else truth.pose[1, truth.connected[k], 2]
+            own = sweep_truth.points @ _turn(yaw)
+            near = (np.abs(own[:, :2]) < 31.9).all(axis=1) & (own[:, 2] < 2.5)
+            cloud = sweep.points @ _turn(yaw - 0.3)
+            away = np.abs(own[near][::200, None] - cloud[None]).max(axis=2).min(axis=1)
+            assert away.max() < 0.45 and np.median(away) < 0.25
+    assert source.load(name).n_connected == 3
+
+
+def _turn(yaw: float) -> np.ndarray:
+    c, s = np.cos(yaw), np.sin(yaw)
+    return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+
+
+def test_returns_lie_in_the_boxes_they_came_from(folder: Path) -> None:
+    """Within the voxels' reach, who returns much is hit, and who returns nothing is not."""
+    source = V2XSimDet(folder, split="test")
+    scene, truth = source.load("scene_5"), SOURCE.load("toy-0")
+    place = (scene.pose[0, :, :2] @ np.array([[np.cos(0.3), np.sin(0.3)], [-np.sin(0.3), np.cos(0.3)]])) + 5.0
+    row = np.hypot(*(place[:, None] - truth.pose[0, None, :, :2]).T).argmin(axis=0)
+    for sweep, cast in zip(source.sweeps(scene, [0])[0], SOURCE.sweeps(truth, [0])[0], strict=True):
+        assert sweep.hits is not None and cast.hits is not None
+        near = np.hypot(*(truth.pose[0, row, :2] - cast.origin[:2]).T) < 31
+        assert sweep.hits[near & (cast.hits[row] >= 20)].min() > 0
+        assert sweep.hits[cast.hits[row] == 0].max() <= 3
+
+
+@settings(max_examples=15)
+@given(
+    st.lists(
+        st.tuples(st.floats(-31, 31), st.floats(-31, 31), st.floats(1.5, 3), st.floats(3, 12), st.floats(-3.1, 3.1)),
+        min_size=1,
+        max_size=4,
+    )
+)
+def test_boxes_come_back_from_the_anchors(boxes: list[tuple[float, ...]]) -> None:
+    apart = [box for k, box in enumerate(boxes) if all(np.hypot(*np.subtract(box, b)[:2]) > 3 for b in boxes[:k])]
+    labels, targets, allocated, _ = _targets(apart)
+    found = decode(targets[allocated], allocated, labels[allocated])
+    expected = np.array([(x, y, length, width, yaw) for x, y, width, length, yaw in apart])
+    found, expected = found[np.argsort(found[:, 0])], expected[np.argsort(expected[:, 0])]
+    assert_allclose(found[:, :4], expected[:, :4], atol=1e-5)
+    assert_allclose(np.sin((found[:, 4] - expected[:, 4]) / 2), 0, atol=1e-6)
+
+
+def test_voxels_by_hand() -> None:
+    """-3 m is no multiple of 0.4 m: the lowest slice of a vehicle begins at -3.2 m, of a road-side unit at -8 m."""
+    first = np.array([[0, 255, 0]])
+    assert_allclose(voxel_points(first, rsu=False), [[-31.875, 31.875, -3.0]])
+    assert_allclose(voxel_points(first, rsu=True), [[-31.875, 31.875, -7.8]])
+    with pytest.raises(ValueError, match="256 × 256 × 13"):
+        voxel_points(np.array([[0, 256, 0]]), rsu=True)
+
+
+def test_choices(folder: Path) -> None:
+    assert open_source(f"v2x-sim-det:{folder}").names() == ("scene_3", "scene_5")
+    assert open_source(f"v2x-sim-det:{folder}?scenes=5&rsu=false").load("scene_5").rsu is None
+    assert V2XSimDet(folder, vehicles=3).digest != V2XSimDet(folder, split="test").digest
+    for wrong, message in (
+        ({"split": "train"}, "no files train/agent"),
+        ({"split": "tests"}, "split must be one of"),
+        ({"scenes": ("7",)}, "'scene_7' is not in split"),
+        ({"vehicles": 4}, "ask for fewer"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            V2XSimDet(folder, **wrong)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="unknown scene 'scene_7'"):
+        V2XSimDet(folder).load("scene_7")
+
+
+def test_a_scene_is_put_together_once(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    source = V2XSimDet(folder)
+    preprocessed._reel.cache_clear()
+    monkeypatch.setattr(v2xsim_det, "read_reel", None)
+    assert V2XSimDet(folder).digest == source.digest == pickle.loads(pickle.dumps(source)).digest
+
+
+def test_without_the_road_side_units_files(copy: Path) -> None:
+    shutil.rmtree(copy / "test/agent0")
+    scene = V2XSimDet(copy, split="test").load("scene_5")
+    assert scene.rsu is None and scene.n_connected == 3
+
+
+class Payload:
+    """What a hostile file would run when it is read."""
+
+    def __init__(self, mark: Path) -> None:
+        self.mark = mark
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Path.touch, (self.mark,)
+
+
+def test_a_hostile_file_runs_nothing(copy: Path, tmp_path: Path) -> None:
+    file, mark = copy / "test/agent1/5_1/0.npy", tmp_path / "ran"
+    content = np.load(file, allow_pickle=True).item()
+    np.save(file, {**content, "extra": Payload(mark)})  # type: ignore[arg-type]
+    with pytest.raises(BrokenData, match="only arrays and plain containers are read") as caught:
+        V2XSimDet(copy)
+    assert caught.value.file == file and not mark.exists()
+    np.load(file, allow_pickle=True)  # the payload is a real one
+    assert mark.exists()
+
+
+@pytest.mark.parametrize("protocol", [3, 4, 5])
+@pytest.mark.parametrize("old", [True, False])
+def test_what_may_be_in_a_file(tmp_path: Path, protocol: int, old: bool) -> None:
+    """Arrays of any layout, numpy scalars, plain containers; numpy 1 called its modules otherwise."""
+    content = {
+        "a": np.arange(6.0).reshape(2, 3),
+        "b": np.asfortranarray(np.eye(3, dtype=bool)),
+        "c": [np.float32(1.5), np.int64(2), (None, "text", True)],
+    }
+    whole = np.array(content, dtype=object)
+    body = pickle.dumps(whole, protocol=protocol)
+    if old and protocol == 3:  # later protocols store the length of names
+        body = body.replace(b"numpy._core.", b"numpy.core.")
+    with (tmp_path / "x.npy").open("wb") as file:
+        np.lib.format.write_array_header_1_0(file, np.lib.format.header_data_from_array_1_0(whole))
+        file.write(body)
+    back = load_pickled(tmp_path / "x.npy")
+    assert_allclose(back["a"], content["a"])
+    assert back["b"].dtype == bool and back["c"][0] == 1.5 and back["c"][2] == (None, "text", True)
+    np.save(tmp_path / "zero.npy", 0)
+    assert load_pickled(tmp_path / "zero.npy") == 0
+
+
+@pytest.mark.parametrize(
+    "module", ["os.system", "builtins.eval", "numpy.load", "numpy.ndarray.tofile", "_codecs.encode"]
+)
+def test_what_may_not(tmp_path: Path, module: str) -> None:
+    home, _, name = module.rpartition(".")
+    with (tmp_path / "x.npy").open("wb") as file:
+        header = np.lib.format.header_data_from_array_1_0(np.array(None, dtype=object))
+        np.lib.format.write_array_header_1_0(file, header)
+        file.write(f"c{home}\n{name}\n(S'true'\ntR.".encode())
+    with pytest.raises(BrokenData, match=rf"it asks for {module}"):
+        load_pickled(tmp_path / "x.npy")
+
+
+def _change(key: str, change: Callable[[Any], Any]) -> Callable[[Path], None]:
+    def apply(path: Path) -> None:
+        content = np.load(path, allow_pickle=True).item()
+        content[key] = change(content[key])
+        np.save(path, content)
+
+    return apply
+
+
+def _drop(path: Path) -> None:
+    content = np.load(path, allow_pickle=True).item()
+    del content["trans_matrices"]
+    np.save(path, content)
+
+
+DAMAGE: dict[str, tuple[Callable[[Path], Any], str]] = {
+    "missing": (lambda path: path.unlink(), "missing file"),
+    "empty": (lambda path: path.write_bytes(b""), "cannot be read"),
+    "cut": (lambda path: path.write_bytes(path.read_bytes()[:5000]), "cannot be read"),
+    "no dict": (lambda path: np.save(path, np.zeros(3)), "a dict of arrays or 0"),
+    "no poses": (_drop, "lacks 'trans_matrices'"),
+    "other agent": (_change("target_agent_id", lambda _: 2), "of agent 2, not 1"),
+    "NaN pose": (_change("trans_matrices", lambda poses: poses * np.nan), "no finite number"),
+    "version 1": (_change("trans_matrices", lambda poses: poses * 0), "V2X-Sim 1.0?"),
+    "five agents": (_change("trans_matrices", lambda poses: poses[1:]), "lack the road-side unit"),
+    "empty sweep": (_change("voxel_indices_0", lambda voxels: voxels[:0]), "an empty sweep"),
+    "voxel outside": (_change("voxel_indices_0", lambda voxels: voxels + 200), "voxel indices must lie"),
+    "NaN box": (_change("reg_target_sparse", lambda code: code * np.nan), "a box that is no finite number"),
+    "other anchors": (_change("allocation_mask", lambda mask: mask[..., :4]), "six anchors a cell"),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGE)
+def test_a_broken_file_is_named_or_its_scene_left_out(copy: Path, damage: str) -> None:
+    file = copy / "test/agent1/5_1/0.npy"
+    break_it, reason = DAMAGE[damage]
+    break_it(file)
+    with pytest.raises(BrokenData) as caught:
+        V2XSimDet(copy)
+    assert caught.value.file == file and reason in caught.value.reason
+    source = V2XSimDet(copy, skip_broken=True)
+    assert source.names() == ("scene_3",)
+    assert [(left.scene, left.file) for left in source.left_out] == [("scene_5", file)]

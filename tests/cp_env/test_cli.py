@@ -1,0 +1,64 @@
+"""The command line does what it says, and answers bad input with one line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+import cp_env
+from cp_env.cli import main
+from cp_env.scenes.export import export
+from tests.helpers.toy_scenes import ToySource
+
+
+def test_version(capsys: pytest.CaptureFixture[str]) -> None:
+    main(["version"])
+    assert capsys.readouterr().out == f"{cp_env.__version__}\n"
+
+
+def test_scenes_lists_every_scene_of_the_split(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    main(["scenes", "--source", "town/calibration"])
+    told = capsys.readouterr().out
+    from cp_env.scenes import open_source
+
+    source = open_source("town/calibration")
+    assert f"town/calibration: {len(source.names())} scenes" in told
+    for name in source.names():
+        (row,) = (line for line in told.splitlines() if name in line)
+        assert source.load(name).kind in row and str(source.load(name).n_frames) in row
+
+
+def test_play_films_an_episode(toy_town: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "episode.gif"
+    main(["play", "--defender", "none", "--action", "basis", "--max-frames", "3", "--out", str(out)])
+    with Image.open(out) as film:
+        assert film.format == "GIF" and film.n_frames == 3
+    assert "3 frames, mean damage" in capsys.readouterr().out
+
+
+def test_check_names_the_rules(toy_town: None, capsys: pytest.CaptureFixture[str]) -> None:
+    main(["check", "--defender", "ego_only", "--action", "basis", "--max-frames", "2", "--steps", "3"])
+    told = " ".join(capsys.readouterr().out.split())
+    assert "26 rules kept: spaces_are_fixed" in told and "rendering_changes_nothing" in told
+
+
+def test_bad_input_is_told_in_one_line() -> None:
+    with pytest.raises(SystemExit, match=r"cp-env: unknown scenes 'village'"):
+        main(["scenes", "--source", "village"])
+    with pytest.raises(SystemExit, match=r"cp-env: unknown action map 'raw'"):
+        main(["play", "--action", "raw"])
+
+
+def test_broken_scenes_are_left_out_by_a_flag(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    export(ToySource(n_frames=2), tmp_path / "set", layout="opv2v", frames=2, vehicles=2)
+    folders = sorted(path for path in (tmp_path / "set").rglob("*") if path.is_dir() and list(path.glob("*.pcd")))
+    sorted(folders[0].glob("*.pcd"))[0].write_bytes(b"not a point cloud")
+    with pytest.raises(SystemExit, match=r"\.pcd"):
+        main(["scenes", "preview", f"opv2v:{tmp_path / 'set'}", "--out", str(tmp_path / "film.gif")])
+    main(["scenes", f"--source=opv2v:{tmp_path / 'set'}", "--skip-broken"])
+    assert "left out scene" in capsys.readouterr().out

@@ -1,0 +1,40 @@
+"""`cp-arena` on toy scenes (`--scenes toy:any`) under a toy detector, to be run as a process of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import cp_env.evaluation.execution.workers
+from agents.arena.cli import main
+from cp_env.detector import Detector
+from cp_env.scenes import SOURCES
+from tests.helpers.toy_evaluation import toy_bank
+from tests.helpers.toy_scenes import ToySource
+
+
+class NamedToy(ToySource):
+    """The toy crossings as a kind of scenes."""
+
+    def __init__(self, path: str) -> None:
+        del path
+        super().__init__(n_frames=4)
+
+
+def toy_detector(fusion: str) -> Detector:
+    """In the place of those that ship."""
+    assert fusion == "mean"
+    return toy_bank().detector
+
+
+def install(setitem: Callable[..., Any] = dict.__setitem__, setattr: Callable[..., Any] = setattr) -> None:
+    """Make the scenes known, and the detector the one that is loaded."""
+    setitem(SOURCES, "toy", "tests.helpers.toy_arena:NamedToy")
+    setattr(cp_env.evaluation.execution.workers, "load_detector", toy_detector)
+
+
+if __name__ in ("__main__", "__mp_main__"):  # its workers, too
+    install()
+
+if __name__ == "__main__":
+    main()
