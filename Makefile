@@ -1,6 +1,6 @@
 # `make demo` and `make test` do all the set-up they need, once, in .venv.
 PYTHON ?= python3
-# Where the CPU build of torch is looked for beside PyPI (whose Linux build brings gigabytes of CUDA). Empty: PyPI only.
+# The index with the CPU build of torch, searched as well as PyPI, whose Linux build brings gigabytes of CUDA. Empty: PyPI only.
 TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 WORKERS ?= 2
 
@@ -11,15 +11,15 @@ TORCH := $(shell grep '^torch==' constraints.txt)
 DEVKIT := .venv-devkit
 LIBRARIES := benchmarl rllib supersuit torchrl
 ALONE = .venv-$*/bin/python -m pip install --disable-pip-version-check --quiet --retries 1
-LEADERBOARD ?= --defenders none ego_only prbi prbi:threshold=calibrated robosac pasac:score=similarity bayes bayes:looks=8 oracle \
-	--attackers none pgd noise policy:name=prbi-quiet in_loop:steps=6 ramp:steps=6 \
-	--ks 2 1 4 --budgets 0.3 0.1 --side-attackers pgd --n-scenes 3 --frames 20 --batch 3
+LEADERBOARD ?= --defenders none ego_only prbi prbi:threshold=calibrated robosac pasac:score=similarity bayes bayes:max_verifications=8 oracle \
+	--attacks none pgd noise policy:name=prbi-stealth-action in_loop:steps=6 ramp:steps=6 \
+	--ks 2 1 4 --budgets 0.3 0.1 --off-baseline-attacks pgd --n-scenes 3 --frames 20 --batch 3
 export OMP_NUM_THREADS ?= 1
 
 .PHONY: demo test lint bench attacks devkit docs libraries $(LIBRARIES:%=library-%) ray leaderboard sumo record clean
 .DEFAULT_GOAL := demo
 
-demo: $(READY) ## the small benchmark: a table on screen, out/demo/ on disk with the picture of one episode
+demo: $(READY) ## the small benchmark: prints a table and writes out/demo/ with a video of one episode
 	$(BIN)/python examples/benchmark.py --small --out out/demo
 
 test: $(READY) ## every test, on two workers
@@ -34,7 +34,7 @@ lint: $(READY) ## style, types, import contracts
 bench: $(READY) ## speed, on one torch thread
 	$(BIN)/python -m pytest benchmarks --benchmark-only --benchmark-columns=median,iqr,rounds
 
-attacks: $(READY) ## our PGD and BIM beside a public library's: the same loss, and the speed of both
+attacks: $(READY) ## our PGD and BIM against those of Foolbox: the same loss, and the speed of both
 	$(PIP) install --quiet -c constraints.txt -e '.[attacks-check]'
 	$(BIN)/python -m pytest tests/external/test_foolbox.py $(PYTEST_ARGS)
 	$(BIN)/python -m pytest -s benchmarks/test_attacks.py -k foolbox
@@ -52,25 +52,25 @@ docs: ## the site, in out/site/, strict: no broken link, no page outside the men
 
 libraries: $(LIBRARIES:%=library-%) ## train with other people's libraries, each in an environment of its own
 
-$(LIBRARIES:%=library-%): library-%: tests/external/%.txt ## one of them
+$(LIBRARIES:%=library-%): library-%: tests/external/%.txt ## one of these libraries
 	test -x .venv-$*/bin/python || $(PYTHON) -m venv .venv-$*
 	$(ALONE) --no-deps $(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX)) $(TORCH)
 	$(ALONE) -r tests/external/$*.txt -e .
 	.venv-$*/bin/python -m pytest -W default tests/external/test_$*.py
 
-ray: $(READY) ## Ray, about 260 MB, to play the arena on a cluster: its tests are skipped without it
+ray: $(READY) ## Ray, about 260 MB, to run the arena on a cluster: its tests are skipped without it
 	$(PIP) install --quiet -c constraints.txt -e '.[ray]'
 
-leaderboard: $(READY) ## play the arena and write docs/leaderboard.md
+leaderboard: $(READY) ## run the arena and write docs/leaderboard.md
 	$(BIN)/cp-arena $(LEADERBOARD) --workers $(WORKERS) --out out/leaderboard --page docs/leaderboard.md
 
 sumo: $(READY) ## the traffic simulator, about 260 MB: its tests are skipped without it
 	$(PIP) install --quiet -c constraints.txt -e '.[sumo]'
 
-record: sumo ## record the town's traffic anew, in out/recordings
+record: sumo ## record the town's traffic again, in out/recordings
 	$(BIN)/python -m cp_env.scenes.sumo.record --out out/recordings --jobs $(WORKERS)
 
-clean: ## forget the virtual environments
+clean: ## remove the virtual environments
 	rm -rf .venv $(DEVKIT) .venv-docs $(LIBRARIES:%=.venv-%)
 
 # torch first, by its exact version and without its dependencies: an open range would prefer the CUDA build.

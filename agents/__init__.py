@@ -1,124 +1,65 @@
-"""Hands that lie: scripted and learned attackers.
+"""Attacks on collaborative perception, scripted and learned: what a malicious vehicle adds to the map it sends.
 
-attacker = agents.make("pgd", objective="hide", restarts=3)
-attacker.reset(n_worlds, np.random.default_rng(0))
-delta = attacker.act(world.situation())
+    attack = agents.make("pgd:restarts=3", objective="hide")
+    attack.reset(n_worlds, np.random.default_rng(0))
+    delta = attack.act(world.situation())
+
+Importing this package loads neither torch nor the world.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import fields
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from agents.protocol import Attacker
+    from agents.learning.policy import load_policy
+    from agents.protocol import Attack
+
+__all__ = ["Attack", "load_policy", "make", "names"]
+
+_OURS = {"__init__.py", "__pycache__", "arena", "attacks", "learning", "protocol.py", "py.typed", "sb3.py"}
+
+if _strangers := sorted(entry.name for entry in Path(__file__).parent.iterdir() if entry.name not in _OURS):
+    raise ImportError(
+        f"another package named `agents` is installed in the same folder ({', '.join(_strangers[:3])}): PyPI's "
+        "`agents` and `openai-agents` use that name, too. Install cp-env in an environment without them"
+    )
+
+_LAZY = {"Attack": "agents.protocol", "load_policy": "agents.learning.policy"}
 
 
-def _ascent(search: type, preset: dict[str, Any], knobs: dict[str, Any]) -> Attacker:
-    """An `Ascent` by that search; a knob belongs to whichever of the two has a field of its name."""
-    from agents.attacks.gradient import Ascent
-
-    of_search = [field.name for field in fields(search)]
-    known = [*of_search, *(field.name for field in fields(Ascent) if field.init and field.name != "search")]
-    if unknown := sorted(set(knobs) - set(known)):
-        raise ValueError(f"unknown knobs {', '.join(unknown)}; known: {', '.join(known)}")
-    given = preset | knobs
-    how = {name: given.pop(name) for name in of_search if name in given}
-    return Ascent(search(**how), **given)
-
-
-def _pgd(**knobs: Any) -> Attacker:
-    from agents.attacks.pgd import Steepest
-
-    return _ascent(Steepest, {}, knobs)
-
-
-def _bim(**knobs: Any) -> Attacker:
-    from agents.attacks.pgd import Steepest
-
-    return _ascent(Steepest, {"random_start": False}, knobs)
-
-
-def _mi_fgsm(**knobs: Any) -> Attacker:
-    from agents.attacks.pgd import Steepest
-
-    return _ascent(Steepest, {"random_start": False, "momentum": 1.0}, knobs)
-
-
-def _cw(**knobs: Any) -> Attacker:
-    from agents.attacks.carlini_wagner import CarliniWagner
-
-    return _ascent(CarliniWagner, {"random_start": False}, knobs)
-
-
-TIMETABLE = ("every", "start", "duty")
-
-_ATTACKERS: dict[str, Callable[..., Attacker] | str] = {
-    "none": "agents.attacks.noise.Silence",
-    "noise": "agents.attacks.noise.Noise",
-    "random": "agents.attacks.random_action.Chance",
-    "pgd": _pgd,
-    "bim": _bim,
-    "mi_fgsm": _mi_fgsm,
-    "cw": _cw,
-    "eot": "agents.attacks.adaptive.eot.Eot",
-    "in_loop": "agents.attacks.adaptive.threshold_aware.InLoop",
-    "ramp": "agents.attacks.adaptive.ramp.ramp",
-    "poison": "agents.attacks.adaptive.poison.poison",
-    "framing": "agents.attacks.adaptive.framing.Framing",
-    "blind": "agents.attacks.adaptive.blind_area.blind",
-    "sacrifice": "agents.attacks.adaptive.sacrifice.sacrifice",
-}
-"""Makers, or where they are: an attacker's file is read when it is asked for."""
+def __getattr__(name: str) -> Any:
+    """What loads torch, when first asked for."""
+    if name in _LAZY:
+        return getattr(import_module(_LAZY[name]), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def names() -> tuple[str, ...]:
-    """The attackers `make` knows."""
-    return tuple(_ATTACKERS)
+    """Names of the attacks that `make` knows."""
+    from agents.attacks.registry import ATTACKS
+
+    return ATTACKS.names()
 
 
-def make(attacker: str | Attacker, **knobs: Any) -> Attacker:
-    """The attacker of that name, with its knobs; an attacker object is handed back as it is.
+def make(attack: str | Attack, **options: Any) -> Attack:
+    """An attack by name, with its options; an attack object is returned as it is.
 
-    A name is one of `names()`, or says where to import a class or function of yours: "module:Class", or
-    "package.module.Class". Any attacker takes a timetable besides its own knobs: `every`, `start` and `duty`, see
-    `agents.attacks.timed`.
+    Args:
+        attack: one of `names()`, or "module:Class" of yours, either with options ("pgd:steps=30"); or an attack object.
+        **options: further options of the attack. Every attack also takes a timetable: `every`, `start` and `duty`, see
+            `agents.attacks.timed`.
 
-    Raises ValueError for an unknown name, for knobs the attacker has not, and for knobs beside an object.
+    Returns:
+        The attack.
+
+    Raises:
+        ValueError: an unknown name or option (with the nearest known one), a value of the wrong type, options for an
+            attack object, or a place that holds no attack: nothing of it is called then.
     """
-    if not isinstance(attacker, str):
-        if knobs:
-            raise ValueError(f"knobs go with a name, not with an attacker object; got {sorted(knobs)}")
-        return attacker
-    factory, timetable = _named(attacker), {knob: knobs.pop(knob) for knob in TIMETABLE if knob in knobs}
-    try:
-        return _timed(factory(**knobs), timetable)
-    except TypeError as error:
-        raise ValueError(f"cannot build attacker {attacker!r} with {sorted(knobs)}: {error}") from error
+    from agents.attacks.registry import ATTACKS, on_timetable
 
-
-def _timed(attacker: Attacker, timetable: dict[str, Any]) -> Attacker:
-    if not timetable:
-        return attacker
-    from agents.attacks.timed import Timed
-
-    return Timed(attacker, **timetable)
-
-
-def _named(name: str) -> Callable[..., Attacker]:
-    known = _ATTACKERS.get(name, name)
-    if not isinstance(known, str):
-        return known
-    module, _, attribute = known.replace(":", ".").rpartition(".")
-    if not module:
-        raise ValueError(f"unknown attacker {name!r}; known: {', '.join(_ATTACKERS)}; or module:Class of yours")
-    try:
-        factory: Callable[..., Attacker] = getattr(import_module(module), attribute)
-    except (ImportError, AttributeError) as error:
-        raise ValueError(f"no attacker {name!r} ({error}): name one of {', '.join(_ATTACKERS)}, or a class") from error
-    return factory
-
-
-__all__ = ["make", "names"]
+    made: Attack = on_timetable(ATTACKS, attack, **options)
+    return made

@@ -1,30 +1,19 @@
-"""What an attacker is: it is shown the situation of all worlds and returns what the liars add to their maps."""
+"""The interface of an attack, and the generators that it draws from."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Protocol, runtime_checkable
-
 import numpy as np
-from jaxtyping import Float
-from torch import Tensor
 
-from cp_env.world.situation import Situation
+import agents
+from cp_env.attack import Attack, Learned, Streams
 
-Streams = np.random.Generator | Sequence[np.random.Generator]
+if "load_policy" not in getattr(agents, "__all__", ()):
+    raise ImportError(
+        "the package `agents` that Python finds is not cp-env's: PyPI's `agents` and `openai-agents` use that name, "
+        "too. Install cp-env in an environment without them"
+    )
 
-
-@runtime_checkable
-class Attacker(Protocol):
-    """Drives the liars of E worlds at once. The victim is frozen: an attacker never changes its detector."""
-
-    def reset(self, n_worlds: int, rng: Streams) -> None:
-        """New episodes begin in all worlds; all randomness must come from `rng`: one stream, or one for each world."""
-        ...
-
-    def act(self, situation: Situation) -> Float[Tensor, "E k C H W"]:
-        """δ of every liar, in its sender's frame, inside the budget."""
-        ...
+__all__ = ["Attack", "Learned", "Streams", "streams"]
 
 
 def streams(n_worlds: int, rng: Streams) -> list[np.random.Generator]:

@@ -1,13 +1,13 @@
-"""A native Stable-Baselines3 `VecEnv`: every adversary of every world is one environment of SB3's, or every world is.
+"""A native Stable-Baselines3 `VecEnv`: every attacker of every world is one environment of SB3's, or every world is.
 
-Shared: environment i drives slot i mod k of world i div k, so a policy is shared by the liars and paid by the team.
-Joint: environment i is world i; one actor sees what all its liars see and moves them all, each laid end to end.
+Shared: environment i drives slot i mod k of world i div k, so the attackers share a policy and the team's reward.
+Joint: environment i is world i; one actor gets the observations of all its attackers and moves them all, end to end.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 from gymnasium import Wrapper
@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
 
+import agents.protocol  # noqa: F401 (it refuses to work beside a package of the same name)
 from cp_env.envs.core import Game, Infos
 from cp_env.envs.joint import join, joint_space
+from cp_env.settings import Options
+from cp_env.world.scene_cache import SceneBank
 from defenders.protocol import Defender
 
 RENDER_MODES = (None, "rgb_array")
-
-RL_KNOBS: dict[str, Any] = {"observation": "compact"}
-"""What differs from the knobs' defaults: a vector that a small network reads."""
 
 
 def make_vec_env(
@@ -30,14 +30,25 @@ def make_vec_env(
     defender: str | Defender | Callable[[], Defender] = "prbi",
     *,
     joint: bool = False,
-    render_mode: str | None = None,
-    **knobs: Any,
+    bank: SceneBank | None = None,
+    **options: Unpack[Options],
 ) -> AdversaryVecEnv:
-    """`num_envs` worlds of k liars as a VecEnv of `num_envs * k` environments, or of `num_envs` joint ones.
+    """Worlds of k attackers as a VecEnv of `num_envs * k` environments, or of `num_envs` joint ones.
 
-    Knobs as in `cp_env.parallel_env`.
+    Args:
+        num_envs: number of worlds.
+        defender: name, object or factory.
+        joint: one environment a world instead of one an attacker.
+        bank: encoded scenes with their source and detector, instead of the options that name them.
+        **options: as in `cp_env.parallel_env`, but `observation` is "compact" by default, a vector that a small network
+            reads, and `render_mode` is None or "rgb_array".
+
+    Returns:
+        The environments.
     """
-    return AdversaryVecEnv(Game(num_envs, defender, **(RL_KNOBS | knobs)), joint=joint, render_mode=render_mode)
+    options.setdefault("observation", "compact")
+    render_mode = options.pop("render_mode", None)
+    return AdversaryVecEnv(Game(num_envs, defender, bank=bank, **options), joint=joint, render_mode=render_mode)
 
 
 class AdversaryVecEnv(VecEnv):
@@ -45,7 +56,7 @@ class AdversaryVecEnv(VecEnv):
 
     The infos of a last step carry `terminal_observation` and, since nothing ever terminates, `TimeLimit.truncated`.
     `seed()` and `set_options()` hold for the next `reset()` and are then forgotten; a world takes its first slot's.
-    The infos of a joint environment are means over its liars.
+    The infos of a joint environment are means over its attackers.
     """
 
     def __init__(self, game: Game, *, joint: bool = False, render_mode: str | None = None) -> None:
@@ -66,10 +77,7 @@ class AdversaryVecEnv(VecEnv):
         """Begin new episodes in all worlds; the observations (n, …), or a dict of them."""
         first = slice(None, None, self.n_seats)
         seeds, options = self._seeds[first], self._options[first]
-        observations, infos = self.game.reset(seeds, options=options[0])
-        for e, (seed, option) in enumerate(zip(seeds, options, strict=True)):
-            if option != options[0]:
-                observations, infos = self.game.reset([seed], worlds=[e], options=option)
+        observations, infos = self.game.reset(seeds, options=options)
         self._reset_seeds()
         self._reset_options()
         self.reset_infos = self._rows(infos)
@@ -102,7 +110,7 @@ class AdversaryVecEnv(VecEnv):
         """Nothing is held open."""
 
     def get_images(self) -> Sequence[np.ndarray | None]:
-        """One picture a world, in the place of its first slot."""
+        """One image a world, in the place of its first slot."""
         return [self.game.render(i // self.n_seats) if i % self.n_seats == 0 else None for i in range(self.num_envs)]
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:

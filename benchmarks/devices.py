@@ -74,21 +74,21 @@ def measure(device: str, fusion: str, args: Args) -> Speed:
     groups = torch.rand(3 * args.batch, 5, generator=torch.Generator().manual_seed(0)) < 0.6
     groups[:, 0] = True
     groups = groups.to(situation.received.device)
-    attacker = agents.make("pgd", steps=args.steps)
+    attack_instance = agents.make("pgd", steps=args.steps)
 
     @torch.inference_mode()
-    def look() -> None:
-        eyes = situation.eyes()
-        eyes.detect(eyes.perceive(situation.received, situation.coverage, rows, groups))
+    def verify() -> None:
+        detector = situation.ego_detector()
+        detector.detect(detector.perceive(situation.received, situation.coverage, rows, groups))
 
     def attack() -> None:
-        attacker.reset(args.batch, np.random.default_rng(0))
-        attacker.act(situation).cpu()
+        attack_instance.reset(args.batch, np.random.default_rng(0))
+        attack_instance.act(situation).cpu()
 
     return Speed(
         device,
         fusion,
-        len(groups) / best(look, args),
+        len(groups) / best(verify, args),
         args.batch * args.steps / best(attack, args),
     )
 

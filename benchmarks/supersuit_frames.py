@@ -2,7 +2,7 @@
 
     make library-supersuit && .venv-supersuit/bin/python -m benchmarks.supersuit_frames
 
-Both learn from the same worlds (a toy crossing, the detector that ships, PRBI, two liars of five), one torch thread
+Both learn from the same worlds (a toy crossing, the detector that ships, PRBI, two attackers of five), one torch thread
 and one process; seconds are the processor's, the rounds of the two alternate.
 """
 
@@ -22,11 +22,11 @@ from stable_baselines3.common.vec_env import VecEnv
 import cp_env
 from agents.learning.ppo import make_ppo
 from agents.sb3 import make_vec_env
-from cp_env.scenes.subset import Some
+from cp_env.scenes.subset import SceneSubset
 from tests.helpers.toy_scenes import ToySource
 
-SCENE = Some(ToySource(n_frames=12), 1)
-LIARS = 2
+SCENE = SceneSubset(ToySource(n_frames=12), 1)
+ATTACKERS = 2
 
 
 @dataclass
@@ -37,31 +37,37 @@ class Args:
     rounds: int = 3
 
 
-def native(worlds: int, **knobs: Any) -> VecEnv:
-    return make_vec_env(worlds, **knobs)
+def native(worlds: int, **options: Any) -> VecEnv:
+    return make_vec_env(worlds, **options)
 
 
-def through_supersuit(worlds: int, **knobs: Any) -> VecEnv:
-    world = supersuit.pettingzoo_env_to_vec_env_v1(cp_env.parallel_env(observation="compact", **knobs))
+def through_supersuit(worlds: int, **options: Any) -> VecEnv:
+    world = supersuit.pettingzoo_env_to_vec_env_v1(cp_env.parallel_env(observation="compact", **options))
     return supersuit.concat_vec_envs_v1(world, worlds, num_cpus=0, base_class="stable_baselines3")
 
 
-def seconds(make: Callable[..., VecEnv], args: Args, **knobs: Any) -> float:
+def seconds(make: Callable[..., VecEnv], args: Args, **options: Any) -> float:
     """Of one rollout and one update. No seed: the other way has no use for one."""
-    env = make(args.worlds, **knobs)
+    env = make(args.worlds, **options)
     env.reset()
     model = make_ppo(env, None, n_steps=args.steps, batch_size=64)
     start = time.process_time()
-    model.learn(args.steps * args.worlds * LIARS)
+    model.learn(args.steps * args.worlds * ATTACKERS)
     return time.process_time() - start
 
 
 def main(args: Args) -> None:
     torch.set_num_threads(1)
     for action in ("guided", "basis"):
-        knobs = {"scenes": SCENE, "action": action, "knowledge": "gray-box", "max_frames": 10, "n_attackers": LIARS}
+        options = {
+            "scenes": SCENE,
+            "action": action,
+            "knowledge": "gray-box",
+            "max_frames": 10,
+            "n_attackers": ATTACKERS,
+        }
         rows = np.array(
-            [[seconds(make, args, **knobs) for make in (native, through_supersuit)] for _ in range(args.rounds)]
+            [[seconds(make, args, **options) for make in (native, through_supersuit)] for _ in range(args.rounds)]
         )
         ours, theirs = args.worlds * args.steps / rows.T
         ratio = ours / theirs

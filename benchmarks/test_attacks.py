@@ -12,8 +12,8 @@ import torch
 from pytest_benchmark.fixture import BenchmarkFixture
 
 import agents
-from agents.attacks.objectives.untargeted import Objective
-from agents.attacks.targets import attack_loss, everyone, survey
+from agents.attacks.objectives.untargeted import UntargetedObjective
+from agents.attacks.targets import attack_loss, collect_targets, everyone
 from agents.sb3 import AdversaryVecEnv, make_vec_env
 from cp_env.world.situation import Situation
 from cp_env.world.world import World
@@ -23,7 +23,7 @@ STEPS = 15
 
 @lru_cache
 def situation(worlds: int, fusion: str) -> Situation:
-    """The second frame of a test scene, the first in which anyone may lie; liars drawn for each world."""
+    """The second frame of a test scene, the first that can be attacked; attackers drawn for each world."""
     world = World(worlds, defender="none", scenes="town/test", fusion=fusion)
     world.reset(list(range(worlds)), options={"scene": world.bank.source.names()[0]})
     world.step(torch.zeros(worlds, 2, *world.situation().received.shape[2:]))
@@ -39,9 +39,9 @@ def bare(here: Situation) -> None:
         torch.autograd.grad(dense.logits.sum() + dense.boxes.sum(), received)
 
 
-def liars_only(here: Situation) -> None:
-    """The same from and to the liars' δ alone, warped; by mean fusion the honest are fused once for all."""
-    perceive = survey(here, everyone, here.active, joint=True).perceive()
+def attackers_only(here: Situation) -> None:
+    """The same from and to the attackers' δ alone, warped; by mean fusion the benign are fused once for all."""
+    perceive = collect_targets(here, everyone, here.active, joint=True).perceive()
     delta = torch.zeros(*here.attackers.shape, *here.received.shape[2:], requires_grad=True)
     for _ in range(STEPS):
         dense = perceive(delta)
@@ -49,13 +49,13 @@ def liars_only(here: Situation) -> None:
 
 
 def pgd(here: Situation) -> None:
-    attacker = agents.make("pgd", steps=STEPS)
-    attacker.reset(len(here.active), np.random.default_rng(0))
-    attacker.act(here)
+    attack = agents.make("pgd", steps=STEPS)
+    attack.reset(len(here.active), np.random.default_rng(0))
+    attack.act(here)
 
 
 def seconds(works: Sequence[Callable[[Situation], None]], here: Situation, rounds: int) -> list[float]:
-    """CPU seconds of each work, the least of several rounds taken in turn: other programs slow all of them alike."""
+    """CPU seconds of each work, the least of several rounds taken in turn: other programs slow all of them equally."""
     taken: list[list[float]] = []
     for _ in range(rounds + 1):  # the first warms up
         taken.append([])
@@ -78,21 +78,21 @@ def test_fifteen_steps_of_pgd(benchmark: BenchmarkFixture, fusion: str, worlds: 
 @pytest.mark.parametrize("fusion", ["mean", "disconet"])
 def test_pgd_costs_little_more_than_its_forward_and_backward_passes(fusion: str, worlds: int) -> None:
     network, through, attack = seconds(
-        (bare, liars_only, pgd), situation(worlds, fusion), rounds=12 if worlds == 1 else 4
+        (bare, attackers_only, pgd), situation(worlds, fusion), rounds=12 if worlds == 1 else 4
     )
     speed = f"{worlds * STEPS / attack:.0f} steps per CPU second"
     print(f"\n{fusion}, {worlds} worlds: {speed}, {network / attack:.2f} of bare passes' speed, ", end="")
-    print(f"{through / attack:.2f} of that of passes through the liars' maps alone")
+    print(f"{through / attack:.2f} of that of passes through the attackers' maps alone")
     assert network / attack >= 0.85
 
 
-def test_pgd_beside_foolbox() -> None:
+def test_pgd_against_foolbox() -> None:
     """The same fifteen steps from the same start on the same network, by Foolbox's loop (see `make attacks`)."""
     pytest.importorskip("foolbox", reason="pip install -e '.[attacks-check]'")
     from tests.external.foolbox_twin import foolbox_attack
 
     def theirs(here: Situation) -> None:
-        loss = attack_loss(survey(here, everyone, here.active, joint=True), Objective())
+        loss = attack_loss(collect_targets(here, everyone, here.active, joint=True), UntargetedObjective())
         start = torch.zeros(*here.attackers.shape, *here.received.shape[2:])
         foolbox_attack("LinfPGD", loss, here, start=start, steps=STEPS, step_size=0.1)
 

@@ -42,27 +42,27 @@ def test_their_way(benchmark: Benchmark, state: tuple[str, twin.State], bev: tor
 
 def ours(state: tuple[str, twin.State], bev: torch.Tensor) -> tuple[CoperceptionDetector, torch.Tensor]:
     detector = CoperceptionDetector(Weights(state[1], "a checkpoint"), state[0], 3, "affine")
-    return detector.beside(grid.pack(bev[:1])), detector.encode_grids(bev)[None]
+    return detector.with_ego_context(grid.pack(bev[:1])), detector.encode_grids(bev)[None]
 
 
 @torch.inference_mode()
 def test_a_verification(benchmark: Benchmark, state: tuple[str, twin.State], bev: torch.Tensor) -> None:
     """A view of one group of six, the frame being encoded."""
-    eyes, received = ours(state, bev)
+    model, received = ours(state, bev)
     world, everyone = torch.zeros(1, dtype=torch.long), torch.ones(1, AGENTS, dtype=torch.bool)
     covered = torch.ones(1, AGENTS, 32, 32)
-    benchmark.pedantic(eyes.perceive, (received, covered, world, everyone), rounds=10, warmup_rounds=1)  # type: ignore[attr-defined]
+    benchmark.pedantic(model.perceive, (received, covered, world, everyone), rounds=10, warmup_rounds=1)  # type: ignore[attr-defined]
 
 
 @torch.inference_mode()
 def test_a_frame(benchmark: Benchmark, state: tuple[str, twin.State], bev: torch.Tensor) -> None:
     """What comes before the first view of a frame: six sweeps encoded, the ego's own layers made ready."""
-    eyes, received = ours(state, bev)
+    model, received = ours(state, bev)
     world, alone = torch.zeros(1, dtype=torch.long), torch.eye(1, AGENTS, dtype=torch.bool)
 
     def frame() -> None:
-        eyes._skips.clear()
-        eyes.encode_grids(bev)
-        eyes.raw(received, world, alone)
+        model._skips.clear()
+        model.encode_grids(bev)
+        model.raw(received, world, alone)
 
     benchmark.pedantic(frame, rounds=3, warmup_rounds=1)  # type: ignore[attr-defined]

@@ -54,10 +54,10 @@ def test_views(
     groups[:, 0] = True
 
     @torch.no_grad()
-    def look() -> None:
+    def verify() -> None:
         detector.detect(detector.perceive(*situation, world, groups))
 
-    benchmark(look)
+    benchmark(verify)
     if benchmark.stats is not None:  # type: ignore[attr-defined]
         benchmark.extra_info["ms_a_view"] = 1e3 * benchmark.stats.stats.median / views  # type: ignore[attr-defined]
 

@@ -27,7 +27,7 @@ def test_ten_views(benchmark: Callable[..., Any], name: str) -> None:
     groups[:, 0] = True
 
     @torch.no_grad()
-    def look() -> None:
+    def verify() -> None:
         detector.detect(detector.perceive(received, coverage, torch.zeros(VIEWS, dtype=torch.long), groups))
 
-    benchmark(look)
+    benchmark(verify)

@@ -1,4 +1,4 @@
-"""What `import cp_env` costs beside importing gymnasium and pettingzoo: at most 0.1 s, and no torch.
+"""What `import cp_env` costs on top of importing gymnasium and pettingzoo: at most 0.1 s, and no torch.
 
 python -m pytest benchmarks/test_import.py -q -s
 """

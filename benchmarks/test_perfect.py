@@ -1,4 +1,4 @@
-"""Episodes a second of every defender in the world without scenes: two liars, until convergence or ten frames.
+"""Episodes a second of every defender in the world without scenes: two attackers, until convergence or ten frames.
 
 The figure is that of the round that took the least CPU time: on a busy machine the others wait for each other's caches.
 """
@@ -11,8 +11,8 @@ import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
 import defenders
-from defenders.simulation.statistics import Tally, play_many
-from defenders.simulation.world import Terms
+from defenders.simulation.statistics import EpisodeStats, play_many
+from defenders.simulation.world import Scenario
 
 EPISODES = {"bayes": 5}  # a round, where not 200
 LEAST = {"bayes": 20}  # episodes a second, where not 200: far below what any machine of today does
@@ -22,17 +22,17 @@ LEAST = {"bayes": 20}  # episodes a second, where not 200: far below what any ma
     ("name", "n"), [(name, n) for n in (5, 64) for name in defenders.names() if (name, n) != ("bayes", 64)]
 )
 def test_episodes(benchmark: BenchmarkFixture, name: str, n: int) -> None:
-    terms, defender = Terms(n_vehicles=n, n_liars=2, max_frames=10), defenders.make(name)
+    scenario, defender = Scenario(n_vehicles=n, n_attackers=2, max_frames=10), defenders.make(name)
     episodes, seconds = EPISODES.get(name, 200), []
 
-    def play() -> Tally:
+    def play() -> EpisodeStats:
         start = time.process_time()
-        tally = play_many(defender, terms, episodes=episodes, seed=0)
+        stats = play_many(defender, scenario, episodes=episodes, seed=0)
         seconds.append(time.process_time() - start)
-        return tally
+        return stats
 
-    tally = benchmark.pedantic(play, rounds=5 if name == "bayes" else 20, warmup_rounds=1)
-    speed, frames = episodes / min(seconds), tally.frames.sum() / min(seconds)
+    stats = benchmark.pedantic(play, rounds=5 if name == "bayes" else 20, warmup_rounds=1)
+    speed, frames = episodes / min(seconds), stats.frames.sum() / min(seconds)
     benchmark.extra_info["episodes a second"], benchmark.extra_info["frames a second"] = round(speed), round(frames)
     print(f"{name}, n = {n}: {speed:,.0f} episodes and {frames:,.0f} frames a second of CPU")
     assert speed > LEAST.get(name, 200 if n == 5 else 20)

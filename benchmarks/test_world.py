@@ -1,4 +1,4 @@
-"""A frame of a verified world beside the bare network: `python -m pytest benchmarks/test_world.py --benchmark-only`.
+"""A frame of a verified world against the bare network: `python -m pytest benchmarks/test_world.py --benchmark-only`.
 
 Each frame of each world takes three views (everyone and two groups, one of which is the output), as PRBI does under
 attack. The bare forward fuses and decodes the same views in one batch and makes no boxes of them.

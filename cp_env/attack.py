@@ -1,10 +1,9 @@
-"""What an attack is: it is shown the situation of all worlds and returns what the attackers add to their maps."""
+"""The interface of an attack: from the situation of all worlds to what the attackers add to their maps."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, runtime_checkable
-from typing import Protocol as Interface
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -12,21 +11,34 @@ from torch import Tensor
 
 from cp_env.world.situation import Situation
 
-
-@runtime_checkable
-class Attacker(Interface):
-    """A scripted attacker: it drives the liars of all worlds (see `agents.protocol`)."""
-
-    def reset(self, n_worlds: int, rng: Sequence[np.random.Generator]) -> None: ...
-
-    def act(self, situation: Situation) -> Float[Tensor, "E k C H W"]: ...
+Streams = np.random.Generator | Sequence[np.random.Generator]
 
 
 @runtime_checkable
-class Learned(Interface):
-    """A learned attacker: from the observations of an environment made with `knobs` to its actions."""
+class Attack(Protocol):
+    """A scripted attack: it controls the attackers of E worlds at once.
+
+    The ego's detector is frozen: an attack never changes it.
+    """
+
+    def reset(self, n_worlds: int, rng: Streams) -> None:
+        """Begin new episodes in all worlds. All randomness must come from `rng`: one stream, or one for each world."""
+        ...
+
+    def act(self, situation: Situation) -> Float[Tensor, "E k C H W"]:
+        """δ of every attacker, in its sender's frame, inside the budget."""
+        ...
+
+
+@runtime_checkable
+class Learned(Protocol):
+    """A learned attack: from the observations of an environment made with `options` to its actions."""
 
     @property
-    def knobs(self) -> Mapping[str, Any]: ...
+    def options(self) -> Mapping[str, Any]:
+        """The options of the environment it was trained in."""
+        ...
 
-    def __call__(self, observations: Any) -> Float[np.ndarray, "E k a"]: ...
+    def __call__(self, observations: Any) -> Float[np.ndarray, "E k a"]:
+        """The action of every attacker."""
+        ...

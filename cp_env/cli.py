@@ -1,9 +1,11 @@
-"""The command `cp-env`: look at the scenes, play an episode into a GIF, check an environment against the rules."""
+"""The command `cp-env`: list and preview scenes, render an episode as a GIF, check an environment's rules."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+
+from cp_env.settings import Action, Fusion, ObservationKind
 
 
 def version() -> None:
@@ -80,15 +82,15 @@ def scenes_preview(
     vehicles: int = 15,
     skip_broken: bool = False,
 ) -> None:
-    """Film a scene of any source from above, and print who is in it and who is seen.
+    """Render a scene of any source from above as a GIF, and print its vehicles and how often each is seen.
 
     Args:
         path: a data set's folder or file, or what names a source: "town/test", "opv2v:/data/OPV2V?split=test".
         out: where the GIF goes.
         scene: its name; the source's first by default.
-        every: look at every so many frames.
-        frames: look at no more than the first so many.
-        extent: m round the ego that the film shows.
+        every: stride of the frames used.
+        frames: use no more than the first so many.
+        extent: m round the ego that the GIF shows.
         vehicles: how many vehicles, the nearest to the ego first, get a line of their own.
         skip_broken: leave broken scenes out, and say which and why; of data sets on disk.
     """
@@ -120,23 +122,25 @@ def play(
     defender: str = "prbi",
     out: Path = Path("episode.gif"),
     scenes: str = "town/test",
-    action: str = "guided",
-    fusion: str = "mean",
+    action: Action = "guided",
+    fusion: Fusion = "mean",
+    detector: str = "cp_env",
     n_vehicles: int = 5,
     n_attackers: int = 2,
     max_frames: int = 50,
     seed: int = 0,
 ) -> None:
-    """Play one episode of liars who act at random, and film it.
+    """Play one episode of attackers with random actions, and render it as a GIF.
 
     Args:
-        defender: who guards the ego.
+        defender: the ego's defence, a name of `defenders.names()` with options if need be.
         out: where the GIF goes.
         scenes: a name such as "town/test", or kind:path?option=value&option=value (docs/scenes.md).
-        action: "guided", "quiet", "basis" or "full".
+        action: "guided", "stealth", "basis" or "full".
         fusion: "mean", "max", "sum", "v2vnet" or "disconet".
-        n_vehicles: how many share their maps.
-        n_attackers: how many of them lie.
+        detector: "cp_env", "coperception:checkpoint=FILE", or "module:Class" of yours.
+        n_vehicles: n, vehicles that share their maps.
+        n_attackers: k, malicious vehicles among them.
         max_frames: frames of the episode, five a second.
         seed: of the episode and of the actions.
     """
@@ -151,6 +155,7 @@ def play(
         scenes=scenes,
         action=action,
         fusion=fusion,
+        detector=detector,
         n_vehicles=n_vehicles,
         n_attackers=n_attackers,
         max_frames=max_frames,
@@ -172,9 +177,10 @@ def play(
 
 def check(
     defender: str = "prbi",
-    action: str = "guided",
-    observation: str = "features",
-    fusion: str = "mean",
+    action: Action = "guided",
+    observation: ObservationKind = "features",
+    fusion: Fusion = "mean",
+    detector: str = "cp_env",
     scenes: str = "town/test",
     max_frames: int = 4,
     steps: int = 6,
@@ -183,10 +189,11 @@ def check(
     """Check an environment against every rule of `cp_env.testing`.
 
     Args:
-        defender: who guards the ego.
-        action: "guided", "quiet", "basis" or "full".
+        defender: the ego's defence, a name of `defenders.names()` with options if need be.
+        action: "guided", "stealth", "basis" or "full".
         observation: "features" or "compact".
         fusion: "mean", "max", "sum", "v2vnet" or "disconet".
+        detector: "cp_env", "coperception:checkpoint=FILE", or "module:Class" of yours.
         scenes: a name such as "town/test", or kind:path?option=value&option=value (docs/scenes.md).
         max_frames: frames of an episode.
         steps: calls a rule plays; more than an episode is better.
@@ -203,6 +210,7 @@ def check(
             action=action,
             observation=observation,
             fusion=fusion,
+            detector=detector,
             scenes=scenes,
             max_frames=max_frames,
             render_mode="rgb_array",
@@ -214,7 +222,7 @@ def check(
 
 
 def main(args: list[str] | None = None) -> None:
-    """What the console script calls; `args` are the command line's unless given. A command may be two words."""
+    """Run the console script; `args` are the command line's unless given. A command may be two words."""
     import sys
 
     import tyro

@@ -2,7 +2,7 @@
 
 gymnasium.make(ENV_ID)                     the single-agent view: one joint adversary
 gymnasium.make_vec(ENV_ID, num_envs=8)     the same, batched in one forward
-pettingzoo.make("parallel", ENV_ID)        one agent per liar (pettingzoo 1.27 and later have this registry)
+pettingzoo.make("parallel", ENV_ID)        one agent per attacker (pettingzoo 1.27 and later have this registry)
 pettingzoo.make("aec", ENV_ID)
 """
 
@@ -14,9 +14,12 @@ import gymnasium
 import pettingzoo
 
 if TYPE_CHECKING:
+    from typing import Unpack
+
     from pettingzoo import AECEnv
 
     from cp_env.envs.parallel import CollaborativePerceptionEnv
+    from cp_env.settings import Options
 
 ENV_ID = "cp_env/CollaborativePerception-v0"
 
@@ -36,15 +39,19 @@ def register_ids() -> None:
             pettingzoo.register("aec", ENV_ID, "cp_env.registration:make_aec")
 
 
-def make_parallel(*, max_cycles: int | None = None, **knobs: Any) -> CollaborativePerceptionEnv:
+def make_parallel(*, max_cycles: int | None = None, **options: Unpack[Options]) -> CollaborativePerceptionEnv:
     """`cp_env.parallel_env` for `pettingzoo.make`, whose word for `max_frames` is `max_cycles`."""
     from cp_env import parallel_env
 
-    return parallel_env(**knobs if max_cycles is None else {**knobs, "max_frames": max_cycles})
+    if max_cycles is not None:
+        options["max_frames"] = max_cycles
+    return parallel_env(**options)
 
 
-def make_aec(*, max_cycles: int | None = None, **knobs: Any) -> AECEnv[str, Any, Any]:
+def make_aec(*, max_cycles: int | None = None, **options: Unpack[Options]) -> AECEnv[str, Any, Any]:
     """`cp_env.env` for `pettingzoo.make`, whose word for `max_frames` is `max_cycles`."""
     from cp_env import env
 
-    return env(**knobs if max_cycles is None else {**knobs, "max_frames": max_cycles})
+    if max_cycles is not None:
+        options["max_frames"] = max_cycles
+    return env(**options)

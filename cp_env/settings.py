@@ -1,63 +1,109 @@
-"""The knobs of one environment, checked once at the outer door."""
+"""The options of one environment: their names, types and defaults stand here once, and are checked once."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, TypedDict, get_args, get_type_hints, no_type_check
 
-FUSIONS = ("mean", "max", "sum", "v2vnet", "disconet")
-NORMS = ("linf", "l2")
-ACTIONS = ("guided", "quiet", "basis", "full")
-OBSERVATIONS = ("features", "compact")
-KNOWLEDGE = ("black-box", "gray-box", "white-box")
-REWARDS = ("damage", "ap_drop", "stealth")
-SLOTS = ("adversaries", "vehicles")
+import numpy as np
+
+from defenders.registry import checked_value, unknown
+
+if TYPE_CHECKING:
+    from cp_env.detector.protocol import DetectorLike
+    from cp_env.types import SceneSource
+
+Fusion = Literal["mean", "max", "sum", "v2vnet", "disconet"]
+Norm = Literal["linf", "l2"]
+Action = Literal["guided", "stealth", "basis", "full"]
+ObservationKind = Literal["features", "compact"]
+Knowledge = Literal["black-box", "gray-box", "white-box"]
+RewardName = Literal["damage", "ap_drop", "stealth"]
+Slots = Literal["adversaries", "vehicles"]
+StateKind = Literal["maps", "compact"]
+
+FUSIONS: tuple[str, ...] = get_args(Fusion)
+NORMS: tuple[str, ...] = get_args(Norm)
+ACTIONS: tuple[str, ...] = get_args(Action)
+OBSERVATIONS: tuple[str, ...] = get_args(ObservationKind)
+KNOWLEDGE: tuple[str, ...] = get_args(Knowledge)
+REWARDS: tuple[str, ...] = get_args(RewardName)
+
+LARGEST_BUDGET = float(np.finfo(np.float16).max)
+"""No map holds larger numbers: they are kept in half precision."""
 
 
-def choose(what: str, value: str, known: Sequence[str]) -> str:
-    """`value` if it is one of `known`; else a ValueError that lists them."""
+def choose(what: str, value: str, known: Collection[str]) -> str:
+    """`value` if it is one of `known`; else a ValueError that lists them and names the nearest."""
     if value not in known:
-        raise ValueError(f"unknown {what} {value!r}: choose one of {', '.join(known)}")
+        raise unknown(what, value, known)
     return value
 
 
+class Options(TypedDict, total=False):
+    """The keywords of `cp_env.parallel_env` and of every other environment."""
+
+    n_vehicles: int
+    n_attackers: int
+    attackers: Sequence[int] | None
+    fusion: Fusion
+    scenes: str | SceneSource
+    action: Action
+    observation: ObservationKind
+    knowledge: Knowledge
+    reward: RewardName | Callable[..., Any]
+    budget: float
+    norm: Norm
+    rsu: bool
+    slots: Slots
+    grace_frames: int
+    max_frames: int
+    state: StateKind
+    detector: str | DetectorLike
+    checkpoint: str | Path | None
+    device: str
+    render_mode: str | None
+
+
+WORLD_DEFAULTS: dict[str, Any] = {"scenes": "town", "detector": "cp_env", "checkpoint": None, "device": "cpu"}
+"""The options that say what is perceived and with what; all others are fields of `Settings`."""
+
+
+@no_type_check  # by a run-time checker: what is wrong is told by the checks below
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """Everything `parallel_env` takes besides the defender and the scenes.
+    """Everything `parallel_env` takes besides the defender, the scenes, the detector and the device.
 
-    Raises ValueError, naming the rule, the value and the way out, for a combination that cannot be played.
+    Raises:
+        ValueError: a value of the wrong type or out of range, or a combination that cannot be played. The message names
+            the rule, the value and the way out.
     """
 
     n_vehicles: int = 5
     n_attackers: int = 2
     attackers: Sequence[int] | None = None
-    fusion: str = "mean"
-    action: str = "guided"
-    observation: str = "features"
-    knowledge: str = "black-box"
-    reward: str | Callable[..., Any] = "damage"
+    fusion: Fusion = "mean"
+    action: Action = "guided"
+    observation: ObservationKind = "features"
+    knowledge: Knowledge = "black-box"
+    reward: RewardName | Callable[..., Any] = "damage"
     budget: float = 0.3
-    norm: str = "linf"
+    norm: Norm = "linf"
     rsu: bool = False
-    slots: str = "adversaries"
+    slots: Slots = "adversaries"
     grace_frames: int = 1
     max_frames: int = 100
+    state: StateKind = "maps"
 
     def __post_init__(self) -> None:
-        choose("fusion", self.fusion, FUSIONS)
-        choose("action map", self.action, ACTIONS)
-        choose("observation", self.observation, OBSERVATIONS)
-        choose("knowledge", self.knowledge, KNOWLEDGE)
-        if not callable(self.reward):
-            choose("reward", self.reward, REWARDS)
-        choose("norm", self.norm, NORMS)
-        choose("slots", self.slots, SLOTS)
+        for name, kind in _KINDS.items():
+            object.__setattr__(self, name, checked_value(name, getattr(self, name), kind))
         if self.n_vehicles < 2:
             raise ValueError(f"n_vehicles must be at least 2 (an ego and a collaborator), not {self.n_vehicles}")
-        if not (math.isfinite(self.budget) and self.budget >= 0):
-            raise ValueError(f"budget Δ must be a finite number >= 0, not {self.budget}")
+        if not 0 <= self.budget <= LARGEST_BUDGET:
+            raise ValueError(f"budget Δ must be a finite number from 0 to {LARGEST_BUDGET:.0f}, not {self.budget}")
         if self.max_frames < 1:
             raise ValueError(f"max_frames must be at least 1, not {self.max_frames}")
         if self.grace_frames < 0:
@@ -65,14 +111,22 @@ class Settings:
         if self.attackers is None:
             self._check_count()
         else:
-            object.__setattr__(self, "attackers", tuple(int(i) for i in self.attackers))  # any sequence will do
+            object.__setattr__(self, "attackers", _numbers(self.attackers))
             self._check_set(self.attackers)
+
+    @classmethod
+    def of(cls, options: Mapping[str, Any]) -> Settings:
+        """The settings with these options. ValueError, with the nearest known name, for an option that is none."""
+        for name in options:
+            if name not in _KINDS and name != "attackers":
+                raise unknown("option", name, [*OPTION_NAMES])
+        return cls(**options)
 
     def _check_count(self) -> None:
         if not 0 <= self.n_attackers < self.n_vehicles:
             raise ValueError(
                 f"n_attackers must satisfy 0 <= k < n: k = {self.n_attackers}, n_vehicles = {self.n_vehicles}; "
-                "at least one vehicle must be honest"
+                "at least one vehicle must be benign"
             )
 
     def _check_set(self, attackers: Sequence[int]) -> None:
@@ -82,7 +136,9 @@ class Settings:
                 f"attackers must be distinct numbers from 0 (the ego) to {self.n_maps - 1}, not {list(attackers)}"
             )
         if len(attackers) >= self.n_vehicles:
-            raise ValueError(f"attackers must leave one vehicle honest: {len(attackers)} of {self.n_vehicles} lie")
+            raise ValueError(
+                f"attackers must leave one vehicle benign: {len(attackers)} of {self.n_vehicles} are malicious"
+            )
 
     @property
     def n_maps(self) -> int:
@@ -91,5 +147,22 @@ class Settings:
 
     @property
     def k(self) -> int:
-        """How many lie."""
+        """Number of attackers."""
         return self.n_attackers if self.attackers is None else len(self.attackers)
+
+
+def _numbers(attackers: object) -> tuple[int, ...]:
+    """Vehicle numbers from any sequence of whole numbers but a text."""
+    if isinstance(attackers, str | bytes) or not isinstance(attackers, Sequence | np.ndarray | set | frozenset):
+        raise ValueError(f"attackers must be a sequence of vehicle numbers such as (0, 3), not {attackers!r:.80}")
+    return tuple(checked_value("attackers", number, int) for number in attackers)
+
+
+_HINTS = get_type_hints(type("Hints", (), {"__annotations__": Settings.__annotations__}), globals())
+_KINDS = {field.name: _HINTS[field.name] for field in fields(Settings) if field.name != "attackers"}
+
+DEFAULTS: dict[str, Any] = {**vars(Settings()), **WORLD_DEFAULTS, "render_mode": None}
+"""The default of every keyword of `cp_env.parallel_env` but the defender."""
+
+OPTION_NAMES: tuple[str, ...] = tuple(Options.__annotations__)
+"""The keywords of `cp_env.parallel_env`."""

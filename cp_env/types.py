@@ -67,7 +67,7 @@ class Detections:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """What the ego perceives when it fuses one group of maps. Opaque to defenders: they hold it and compare it."""
+    """The ego's output when it fuses one group of maps. Opaque to defenders: they hold it and compare it."""
 
     group: frozenset[int]
     frame: int
@@ -93,3 +93,10 @@ class SceneSource(Protocol):
     def sweeps(self, scene: Scene, frames: Sequence[int]) -> list[list[Sweep]]:
         """`[frame][agent]`: the connected vehicles in order, then the road-side unit if the scene has one."""
         ...
+
+
+@runtime_checkable
+class Endless(Protocol):
+    """A source whose scenes hardly come back: nothing of them is kept longer than it is needed."""
+
+    endless: bool

@@ -1,29 +1,44 @@
-"""Defenders: minds without eyes. They ask for views of groups of vehicles and say whom to fuse.
+"""Defenders of collaborative perception: they query views of groups of vehicles and decide which vehicles to fuse.
 
->>> defender = make("prbi", epsilon=0.4)
+>>> defender = make("prbi:epsilon=0.4")
 >>> names()
-('prbi', 'none', 'ego_only', 'oracle', 'pasac', 'robosac', 'bayes')
+('prbi', 'robust_prbi', 'none', 'ego_only', 'oracle', 'pasac', 'robosac', 'bayes')
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from importlib import import_module
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from defenders.baselines import EgoOnly, NoDefence, Oracle
-from defenders.bayes.defender import Bayes
-from defenders.pasac import Pasac
-from defenders.prbi.defender import Prbi
-from defenders.prbi.interpretation import Reading
-from defenders.protocol import Defender, Frame, Inspection, Query, QueryError, Verdict, View
-from defenders.robosac import Robosac
+from defenders.protocol import (
+    Defender,
+    Frame,
+    HasThreshold,
+    Informed,
+    Inspection,
+    Query,
+    QueryError,
+    Verdict,
+    View,
+)
+from defenders.registry import Registry
+
+if TYPE_CHECKING:
+    from defenders.baselines import EgoOnly, NoDefence, Oracle
+    from defenders.bayes import Bayes
+    from defenders.pasac import Pasac
+    from defenders.prbi import Prbi, Reading, RobustPrbi
+    from defenders.robosac import Robosac
 
 __all__ = [
+    "DEFENDERS",
     "Bayes",
     "Defender",
     "EgoOnly",
     "Frame",
+    "HasThreshold",
+    "Informed",
     "Inspection",
     "NoDefence",
     "Oracle",
@@ -33,62 +48,67 @@ __all__ = [
     "QueryError",
     "Reading",
     "Robosac",
+    "RobustPrbi",
     "Verdict",
     "View",
     "make",
     "names",
 ]
 
-REGISTRY: dict[str, Callable[..., Defender]] = {
-    "prbi": Prbi,
-    "none": NoDefence,
-    "ego_only": EgoOnly,
-    "oracle": Oracle,
-    "pasac": Pasac,
-    "robosac": Robosac,
-    "bayes": Bayes,
+_LAZY = {
+    "Bayes": "defenders.bayes",
+    "EgoOnly": "defenders.baselines",
+    "NoDefence": "defenders.baselines",
+    "Oracle": "defenders.baselines",
+    "Pasac": "defenders.pasac",
+    "Prbi": "defenders.prbi",
+    "Reading": "defenders.prbi",
+    "RobustPrbi": "defenders.prbi",
+    "Robosac": "defenders.robosac",
 }
+
+DEFENDERS: Registry[Defender] = Registry(
+    "defender",
+    {
+        "prbi": "defenders.prbi.defender:Prbi",
+        "robust_prbi": "defenders.prbi.robust:RobustPrbi",
+        "none": "defenders.baselines:NoDefence",
+        "ego_only": "defenders.baselines:EgoOnly",
+        "oracle": "defenders.baselines:Oracle",
+        "pasac": "defenders.pasac:Pasac",
+        "robosac": "defenders.robosac:Robosac",
+        "bayes": "defenders.bayes.defender:Bayes",
+    },
+    Defender,
+)
+"""The family of defenders. A new one enters here, and the tests of the family then run on it."""
+
+
+def __getattr__(name: str) -> Any:
+    """The defenders' classes, each imported when first asked for."""
+    if name in _LAZY:
+        return getattr(import_module(_LAZY[name]), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def names() -> tuple[str, ...]:
     """The defenders that `make` knows by name."""
-    return tuple(REGISTRY)
+    return DEFENDERS.names()
 
 
-def make(defender: str | Defender | Callable[..., Defender], **knobs: Any) -> Defender:
-    """A defender from its name or from a class or function that builds one, with its knobs; or the object itself.
+def make(defender: str | Defender | Callable[..., Defender], **options: Any) -> Defender:
+    """Build a defender.
 
-    A name is one of `names()`, or says where to import a class or function of yours: "module:Class", or
-    "package.module.Class".
+    Args:
+        defender: One of `names()`, or "module:Class" of yours, either with options ("bayes:max_verifications=8"); a
+            class or function that builds a defender; or a finished defender.
+        **options: Further options of the defender.
 
-    Raises ValueError for an unknown name, for knobs the defender has not, and for knobs beside a finished object.
+    Returns:
+        The defender. A finished one is returned as it is.
+
+    Raises:
+        ValueError: For an unknown name or option (with the nearest known one), a value of the wrong type, options of a
+            finished defender, and a place that holds no defender: nothing of it is called then.
     """
-    if isinstance(defender, Defender):
-        if knobs:
-            raise ValueError(f"a finished defender takes no knobs, got {sorted(knobs)}; pass its class or its name")
-        return defender
-    factory = _named(defender) if isinstance(defender, str) else defender
-    if not callable(factory):
-        raise ValueError(f"a defender is a name, a Defender, or what builds one; got {type(defender).__name__}")
-    try:
-        made = factory(**knobs)
-    except TypeError as error:
-        raise ValueError(f"cannot build defender {defender!r} with {sorted(knobs)}: {error}") from error
-    if not isinstance(made, Defender):
-        raise ValueError(f"{defender!r} built a {type(made).__name__}; it must build a defenders.Defender")
-    return made
-
-
-def _named(name: str) -> Callable[..., Defender]:
-    if name in REGISTRY:
-        return REGISTRY[name]
-    module, _, attribute = name.replace(":", ".").rpartition(".")
-    if not module:
-        raise ValueError(f"unknown defender {name!r}; known are {', '.join(names())}, or module:Class of yours")
-    try:
-        factory: Callable[..., Defender] = getattr(import_module(module), attribute)
-    except (ImportError, AttributeError) as error:
-        raise ValueError(
-            f"no defender {name!r} ({error}): name one of {', '.join(names())}, or a class that can be imported"
-        ) from error
-    return factory
+    return DEFENDERS.make(defender, **options)

@@ -1,4 +1,4 @@
-"""Defenders that bound the others: no defence, no collaboration, and the truth."""
+"""Defenders that bound the others: no defence, no collaboration, and the ground truth."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from collections.abc import Collection
 
 import numpy as np
 
-from defenders.protocol import Defender, Frame, Inspection, Verdict
+from defenders.protocol import Defender, Frame, Informed, Inspection, Verdict
 
 
 class NoDefence(Defender):
-    """Fuses everyone and asks nothing: what an attack costs when nobody defends."""
+    """No defence: fuses everyone and verifies nothing. It shows what an attack costs."""
 
     def reset(self, n_vehicles: int, rng: np.random.Generator) -> None:
         self.n_vehicles = n_vehicles
@@ -24,41 +24,43 @@ class NoDefence(Defender):
 
 
 class EgoOnly(NoDefence):
-    """Fuses the ego's own map alone and accuses nobody: what collaboration must beat. A lying ego is its downfall."""
+    """No collaboration: fuses the ego's own map alone and flags nobody. It fails if the ego is malicious."""
 
     def inspect(self, frame: Frame) -> Inspection:
         yield from ()
         return Verdict({0})
 
 
-class Oracle(NoDefence):
-    """Told who lies, fuses the others, or the ego if none of them is present: the bound from above.
+class Oracle(NoDefence, Informed):
+    """Ground truth: fuses all benign vehicles, or the ego if none of them is present. The upper bound.
 
-    The one exception to "nothing says who lies": a referee calls `tell`, where a defender has it, with the liars of the
-    episode before every `reset`. Where the liars are fixed, the constructor may be told instead.
+    It is the one exception to the rule that a defender does not know the attackers: it is `Informed`. Where the
+    attackers are fixed, the constructor takes them instead.
     """
 
-    def __init__(self, *, liars: Collection[int] | None = None) -> None:
-        self.liars: frozenset[int] | None = None if liars is None else frozenset(liars)
+    def __init__(self, *, attackers: Collection[int] | None = None) -> None:
+        self.attackers: frozenset[int] | None = None if attackers is None else frozenset(attackers)
 
-    def tell(self, liars: Collection[int]) -> None:
-        """Hand over the truth about the coming episode."""
-        self.liars = frozenset(int(i) for i in liars)
+    def reveal_attackers(self, attackers: frozenset[int]) -> None:
+        """Take the attackers of the coming episode."""
+        self.attackers = frozenset(int(i) for i in attackers)
 
     def reset(self, n_vehicles: int, rng: np.random.Generator) -> None:
-        """ValueError if nobody told who lies, or if everyone or someone unknown is said to."""
+        """Begin an episode. ValueError if the attackers are not revealed, or are no proper subset of the vehicles."""
         super().reset(n_vehicles, rng)
-        if self.liars is None:
-            raise ValueError("the oracle was not told who lies; pass liars= or let the referee call tell() first")
-        if not self.liars < frozenset(range(n_vehicles)):
-            raise ValueError(f"liars must be fewer than all {n_vehicles} vehicles, got {sorted(self.liars)}")
+        if self.attackers is None:
+            raise ValueError(
+                "the attackers were not revealed to the oracle; pass attackers= or have reveal_attackers() called first"
+            )
+        if not self.attackers < frozenset(range(n_vehicles)):
+            raise ValueError(f"attackers must be fewer than all {n_vehicles} vehicles, got {sorted(self.attackers)}")
 
     def inspect(self, frame: Frame) -> Inspection:
         yield from ()
-        assert self.liars is not None
-        honest = frozenset(range(self.n_vehicles)) - self.liars
-        fused = honest if honest & frame.present else frozenset({0})
-        return Verdict(fused, self.liars - fused, True)
+        assert self.attackers is not None
+        benign = frozenset(range(self.n_vehicles)) - self.attackers
+        fused = benign if benign & frame.present else frozenset({0})
+        return Verdict(fused, self.attackers - fused, True)
 
     def belief(self) -> np.ndarray:
-        return np.array([float(i in (self.liars or ())) for i in range(self.n_vehicles)])
+        return np.array([float(i in (self.attackers or ())) for i in range(self.n_vehicles)])

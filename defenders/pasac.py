@@ -1,4 +1,4 @@
-"""PASAC, the sampling of CP-Guard (AAAI 2025): halve whoever is in doubt until every part passes or is one vehicle."""
+"""PASAC, the sampling of CP-Guard (AAAI 2025): halve failing groups until every part passes or is one vehicle."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ PAPER = {"agreement": 0.08, "similarity": 0.3}  # CP-Guard's consistency of segm
 
 
 class Pasac(Defender):
-    """Probability-agnostic sample consensus, anew in every frame; the ego's own view is the reference and not counted.
+    """Probability-agnostic sample consensus, anew in every frame. The reference is the ego-only view, not counted.
 
-    The collaborators are halved at ⌊n/2⌋ in random order and both halves verified. A half that passes (its score is
-    above ε) is accepted whole, one that fails is halved in turn, and a single vehicle that fails is accused. Verifying
-    everyone together is left out. All halves of one depth are asked in one query, which changes the number of forwards
-    and nothing else.
+    The collaborators are halved at ⌊n/2⌋ in random order and both halves are verified. A half that passes (its score is
+    above ε) is accepted whole, one that fails is halved in turn, and a single vehicle that fails is flagged. Everyone
+    together is not verified. All halves of one depth are asked in one query, which changes the number of forwards and
+    nothing else.
 
-    Where the paper is silent: with `n_upper` one half is verified after the other, depth first, so that no look is paid
-    for after enough are accepted; a half that passes is accepted whole even if it is more than enough; who was not
-    looked at is neither fused nor accused, and neither is who is absent. If nobody passes the ego perceives alone, be
-    it accused or not.
+    Where the paper is silent: With `n_upper` one half is verified after the other, depth first, so that nothing is paid
+    for after enough are accepted. A half that passes is accepted whole even if it is more than enough. A vehicle that
+    was not verified or is absent is neither fused nor flagged. If nobody passes, the ego perceives alone, whether it is
+    flagged or not.
     """
 
     max_queries = 128  # a tree over 64 vehicles, one node a query
@@ -42,14 +42,19 @@ class Pasac(Defender):
     ) -> None:
         """Build the defender.
 
-        score      "agreement": the consistency of score maps (CCLoss); "similarity": the Jaccard of boxes (CP-uniGuard)
-        threshold  "calibrated": one ε for each size of the group that is fused, shipped; "paper": 0.08 for agreement,
-                   which was made for segmentation maps, and 0.3 for similarity; or a mapping from size to ε
-        epsilon    one ε for every size instead
-        visit_all  verify all 2n - 1 nodes of the tree, the root and the parts of accepted parts too, as CP-uniGuard
-                   does; then whoever is in a part that passes is accepted, and the others are accused
-        n_upper    stop once so many collaborators are accepted; the trusted ego is none
-        trust_ego  as published: the ego is in every group and never accused. False halves all vehicles, the ego too.
+        Args:
+            score: "agreement": consistency of score maps (CCLoss). "similarity": Jaccard of boxes (CP-uniGuard).
+            threshold: "calibrated": one ε for each size of the group that is fused, shipped. "paper": 0.08 for
+                agreement, which was made for segmentation maps, and 0.3 for similarity. Or a mapping from size to ε.
+            epsilon: One ε for every size instead.
+            visit_all: Verify all 2n - 1 nodes of the tree, the root and the parts of accepted parts too, as CP-uniGuard
+                does. Then every member of a part that passes is accepted, and the others are flagged.
+            n_upper: Number of accepted collaborators after which the search stops. The trusted ego does not count.
+            trust_ego: As published: the ego is in every group and never flagged. False halves all vehicles, the ego
+                too.
+
+        Raises:
+            ValueError: If an option is out of range.
         """
         check_choice("score", score, tuple(PAPER))
         if n_upper is not None and (n_upper < 1 or visit_all):
@@ -66,7 +71,7 @@ class Pasac(Defender):
 
     def reset(self, n_vehicles: int, rng: np.random.Generator) -> None:
         self.n_vehicles, self.rng = n_vehicles, rng
-        self.accused: Group = frozenset()
+        self.flagged: Group = frozenset()
 
     def inspect(self, frame: Frame) -> Inspection:
         ego: Group = frozenset({0}) if self.trust_ego else frozenset()
@@ -79,18 +84,18 @@ class Pasac(Defender):
             groups = [ego.union(part) for part in now]
             deeper = []
             for part, group, view in zip(now, groups, (yield Query(groups)), strict=True):
-                passed = self._passes(frame, group, view, reference)
+                passed = self._is_consistent(frame, group, view, reference)
                 accepted.update(part if passed else ())
                 failed.update(part if len(part) == 1 and not passed else ())
                 deeper += halves(part) if len(part) > 1 and (self.visit_all or not passed) else []
             parts = deeper + parts
-        self.accused = frozenset(failed - (accepted or {0}))
-        return Verdict(accepted or {0}, self.accused)
+        self.flagged = frozenset(failed - (accepted or {0}))
+        return Verdict(accepted or {0}, self.flagged)
 
     def belief(self) -> np.ndarray:
-        return np.array([float(i in self.accused) for i in range(self.n_vehicles)])
+        return np.array([float(i in self.flagged) for i in range(self.n_vehicles)])
 
-    def _passes(self, frame: Frame, group: Group, view: View, reference: View) -> bool:
+    def _is_consistent(self, frame: Frame, group: Group, view: View, reference: View) -> bool:
         compare = frame.agreement if self.score == "agreement" else frame.similarity
         return compare(view, reference) > self.epsilon(group)
 

@@ -1,32 +1,32 @@
-"""What a defender is: it is shown a frame, asks for the views of groups of vehicles, and gives a verdict.
+"""The defender protocol: a defender is shown a frame, queries views of groups of vehicles, and returns a verdict.
 
-A defender *asks*; it never computes. `inspect` is a generator: it yields a `Query`, is sent the views, and returns a
-`Verdict`. What must survive a frame lives on the object (which must pickle between frames); the rest is local names.
+A defender queries and never computes a view. `inspect` is a generator: it yields a `Query`, is sent the views, and
+returns a `Verdict`. State that must survive a frame lives on the object, which must pickle between frames.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Generator, Iterable
+from collections.abc import Callable, Generator, Iterable
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-View = Any  # opaque: a defender never learns what a detection is
+View = Any  # opaque: a defender never reads detections
 
 
 class QueryError(ValueError):
-    """A defender asked for something that does not exist."""
+    """A query or verdict names vehicles that do not exist or are not present."""
 
 
 @dataclass(frozen=True)
 class Query:
-    """Groups of vehicle numbers whose views are wanted; answered for all worlds in one forward.
+    """Groups of vehicle numbers whose views are queried. The queries of all worlds are answered in one forward.
 
-    Each group counts as one verification, unless `verification` is False: that is for a reference the papers do not
-    count (ROBOSAC's ego-only view). A group may lack the ego and may hold one vehicle; an empty one is an error. It is
-    answered by those of it who are present (`Frame.present`), and is an error where none is.
+    Each group counts as one verification unless `verification` is False. That is for a reference which the papers do
+    not count (ROBOSAC's ego-only view). A group may lack the ego and may hold one vehicle. An empty group is an error.
+    It is answered by its present members (`Frame.present`), and is an error if there are none.
     """
 
     groups: tuple[frozenset[int], ...]
@@ -39,7 +39,7 @@ class Query:
 
 @dataclass(frozen=True)
 class Verdict:
-    """Who is fused for the output of this frame, as far as they are present, and who is accused now."""
+    """Vehicles to fuse for the output of this frame, as far as present, and vehicles that are flagged now."""
 
     collaborators: frozenset[int]
     suspects: frozenset[int] = frozenset()
@@ -53,7 +53,7 @@ class Verdict:
 
 @runtime_checkable
 class Frame(Protocol):
-    """One frame as a defender sees it. Nothing in it says who lies."""
+    """One frame as a defender sees it. Nothing in it identifies the attackers."""
 
     @property
     def index(self) -> int:
@@ -62,29 +62,29 @@ class Frame(Protocol):
 
     @property
     def n_vehicles(self) -> int:
-        """Maps that can be fused: vehicle 0 is the ego; a road-side unit, if any, is the last."""
+        """Number of maps that can be fused. Vehicle 0 is the ego; a road-side unit, if any, is the last."""
         ...
 
     @property
     def present(self) -> frozenset[int]:
-        """Whose maps are there in this frame: everyone, unless a vehicle has yet to appear or has dropped out.
+        """Vehicles whose maps are received in this frame: all, unless one has yet to appear or has dropped out.
 
-        The ego always is. Nothing is received from the others, so a group is answered by those of it who are present,
-        and so is a verdict; a group or a verdict of none of them is a `QueryError`.
+        The ego is always present. A group is answered by its present members, and so is a verdict. A group or verdict
+        without a present vehicle is a `QueryError`.
         """
         ...
 
     @property
     def seen(self) -> View:
-        """The view with everyone fused who is present; free of charge."""
+        """The full view: that of all present vehicles. It is no verification."""
         ...
 
     def similarity(self, a: View, b: View) -> float:
-        """Jaccard similarity of two views' boxes, PRBI Eq. (5), in [0, 1]; the ego's own motion is taken out first."""
+        """Jaccard similarity of two views' boxes, PRBI Eq. (5), in [0, 1], after compensation of the ego's motion."""
         ...
 
     def agreement(self, a: View, b: View) -> float:
-        """Consistency of two views' score maps, higher is more consistent, in [0, 0.5] (PASAC's CCLoss)."""
+        """Consistency of two views' score maps, in [0, 0.5]; higher is more consistent (PASAC's CCLoss)."""
         ...
 
 
@@ -95,24 +95,48 @@ class Defender(ABC):
     """Base class of all defenders."""
 
     max_queries: int = 64
-    """Queries a frame after which the referee fails the episode."""
+    """Most queries in a frame. With more the referee fails the episode."""
 
     def configure(self, *, fusion: str) -> None:
-        """How the ego fuses what it receives ("mean", "max", …), told by the referee before the first `reset`.
+        """Take the ego's fusion. The referee calls it before the first `reset`.
 
-        It is the ego's own device, so whoever defends the ego knows it; similarities depend on it, and what is
-        calibrated on them may. By default of no consequence.
+        The fusion is no secret, since it is the ego's own. Similarities depend on it, and so may whatever is calibrated
+        on them. By default it has no effect.
+
+        Args:
+            fusion: How the ego fuses what it receives: "mean", "max", ….
         """
         del fusion
 
     @abstractmethod
     def reset(self, n_vehicles: int, rng: np.random.Generator) -> None:
-        """Forget everything; a new episode with `n_vehicles` maps begins. All randomness must come from `rng`."""
+        """Begin a new episode with `n_vehicles` maps and forget the last. All randomness must come from `rng`."""
 
     @abstractmethod
     def inspect(self, frame: Frame) -> Inspection:
-        """Judge one frame. Yield queries, receive one view per group in order, return the verdict."""
+        """Judge one frame: yield queries, receive one view for each group in order, and return the verdict."""
 
     def belief(self) -> np.ndarray:
-        """Probability that each vehicle lies, shape (n_vehicles,), for plots and white-box attackers; or empty."""
+        """Probability that each vehicle attacks, shape (n_vehicles,), for plots and white-box attacks; or empty."""
         return np.zeros(0)
+
+
+class Informed(ABC):
+    """A defender that is shown the ground truth, by deriving from this class: a bound, no defence.
+
+    A method of the same name is not enough. The world records whom it informed, and no informed defender is ranked.
+    """
+
+    @abstractmethod
+    def reveal_attackers(self, attackers: frozenset[int]) -> None:
+        """Take the attackers of the coming episode. The world calls it before every `reset`."""
+
+
+@runtime_checkable
+class HasThreshold(Protocol):
+    """A defender that compares similarities with a threshold ε: pictures show it."""
+
+    @property
+    def epsilon(self) -> float | Callable[[frozenset[int]], float]:
+        """ε for every group, or a function of the group."""
+        ...

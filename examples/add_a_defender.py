@@ -1,10 +1,10 @@
-"""A defender of your own: 20 lines, from the idea to a figure.
+"""A defender of your own in 20 lines, from the idea to a result.
 
-    python examples/add_a_defender.py                  # on scenes, against attackers that lie in every frame
+    python examples/add_a_defender.py                  # on scenes, with attackers that perturb every frame
     python examples/add_a_defender.py --perfect        # the idea alone, without a detector: seconds
 
-The idea: whenever the picture jumps, look at each vehicle alone, and fuse those whose view agrees with the last output.
-It is honest and dear: n verifications whenever something is wrong.
+The idea: whenever the picture jumps, verify each vehicle alone, and fuse those whose view agrees with the last output.
+It trusts no vehicle without a verification, and it is expensive: n verifications whenever the picture jumps.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from defenders.simulation.world import play
 
 
 class OneByOne(Defender):
-    """Looks at every vehicle alone when the picture jumps."""
+    """Verifies every vehicle alone when the picture jumps."""
 
     def __init__(self, epsilon: float = 0.3) -> None:
         self.epsilon = epsilon
@@ -33,7 +33,7 @@ class OneByOne(Defender):
             return Verdict(self.everyone)
         views = yield Query([{i} for i in self.everyone])
         trusted = {i for i in self.everyone if frame.similarity(views[i], self.reference) >= self.epsilon} or {0}
-        (self.reference,) = yield Query([trusted], verification=False)  # the output of this frame: no extra look
+        (self.reference,) = yield Query([trusted], verification=False)  # this frame's output: no extra verification
         return Verdict(trusted, set(self.everyone) - trusted)
 
 
@@ -43,7 +43,7 @@ ALL_OUT = np.array([1, 0, 0, 0, 0, 1, 1, 1], dtype=np.float32)  # the guided act
 @dataclass
 class Args:
     perfect: bool = False
-    """no scenes and no detector: a view is wrong if and only if its group holds a liar"""
+    """no scenes and no detector: a view is wrong if and only if its group holds an attacker"""
     n_attackers: int = 2
     frames: int = 20
     seed: int = 0
@@ -51,7 +51,8 @@ class Args:
 
 def on_the_perfect_world(args: Args) -> None:
     episode = play(OneByOne(), 5, args.n_attackers, args.seed, max_frames=args.frames)
-    print(f"lying {sorted(episode.liars)}, accused {sorted(episode.suspects)}, verifications {episode.verifications}")
+    print(f"attackers {sorted(episode.attackers)}, flagged {sorted(episode.suspects)}", end=", ")
+    print(f"verifications {episode.verifications}")
 
 
 def on_scenes(args: Args) -> None:

@@ -1,4 +1,4 @@
-"""A detector of your own for the victim: two methods, the rules it must keep, and liars that differentiate through it.
+"""A detector of your own as the victim: two methods, the rules it must keep, and attacks through its gradients.
 
     python examples/bring_your_own_detector.py
     python examples/bring_your_own_detector.py --steps 30 --budget 0.1
@@ -27,14 +27,14 @@ from cp_env.detector.model.bev import BEV, rasterise
 from cp_env.testing import check_detector
 from cp_env.types import Sweep
 
-# What a return says of a car's being there, by its height: ground, bumper, bonnet, window, roof, van, house.
+# Evidence of a car from a return, by its height: ground, bumper, bonnet, window, roof, van, house.
 EVIDENCE = (-0.4, 3.0, 5.0, 4.0, 2.0, -2.0, -4.0)
 CAR = (4.5, 1.8)  # length and width of every box, m
 
 
 @dataclass(frozen=True)
 class Args:
-    """A toy detector among liars."""
+    """A toy detector under attack."""
 
     scene: str = "town/test"
     frames: int = 10
@@ -67,11 +67,11 @@ class Toy(BaseDetector):
         world: Int[Tensor, " B"],
         groups: Bool[Tensor, "B N"],
     ) -> Dense:
-        """f_F and f_D: the mean over the members that cover a cell; then every metre says how much like a car it is."""
+        """f_F and f_D: the mean over the members that cover a cell; then every metre gets a score for a car."""
         if not bool(groups.any(1).all()):
             raise ValueError("a group holds at least one vehicle")
         members = (coverage[world] * groups[..., None, None])[:, :, None]
-        # a sum over the members in a fixed order: a view does not depend on those asked beside it
+        # a sum over the members in a fixed order: a view does not depend on the others of its batch
         fused = sum((received[world] * members).unbind(1)) / members.sum(1).clamp(min=1)
         score = torch.einsum("bchw,c->bhw", fused, self.evidence)
         fine = functional.interpolate(score[:, None], scale_factor=2.0, mode="bilinear")[:, 0]
@@ -88,8 +88,8 @@ class Toy(BaseDetector):
         return torch.cat([torch.stack([still, still, length, width], dim=1), direction], dim=1)
 
 
-def damage(detector: Toy, attack: agents.Attacker, args: Args) -> float:
-    """Mean damage that two liars of five do to an ego that fuses everyone."""
+def damage(detector: Toy, attack: agents.Attack, args: Args) -> float:
+    """Mean damage per frame that two attackers of five do to an ego that fuses everyone."""
     world = cp_env.world.world.World(
         1, defender="none", detector=detector, scenes=args.scene, max_frames=args.frames, budget=args.budget
     )
@@ -107,7 +107,7 @@ def main(args: Args) -> None:
         ("noise", agents.make("noise")),
         (f"PGD, {args.steps} steps", agents.make("pgd", steps=args.steps)),
     ):
-        print(f"damage by {name}: {damage(detector, attack, args):.2f}")
+        print(f"detection loss/frame under {name}: {damage(detector, attack, args):.2f}")
 
 
 if __name__ == "__main__":

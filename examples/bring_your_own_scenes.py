@@ -1,4 +1,4 @@
-"""Scenes of your own: a `SceneSource` in 30 lines, checked, filmed and played.
+"""Scenes of your own: a `SceneSource` in 30 lines, checked, rendered and played.
 
     python examples/bring_your_own_scenes.py                      # writes a miniature to show with, in out/my-scenes
     python examples/bring_your_own_scenes.py --folder /data/mine  # yours, in this layout
@@ -6,7 +6,7 @@
 The layout here: `<scene>/scene.npz` holds `dt` (s), `pose` (T, M, 3: x, y, yaw of every vehicle, NaN where absent),
 `size` (M, 3), `connected` (A,: rows of the vehicles with a LiDAR, the ego first) and `mount` (A,: height of each, m);
 `<scene>/<frame>-<agent>.npy` holds points (P, 3) as the sensor measured them: x forward, y left, z up, from the sensor,
-which stands over the middle of its vehicle. Yours will differ: what matters is what `load` and `sweeps` hand over.
+which stands over the middle of its vehicle. Yours will differ: what matters is what `load` and `sweeps` return.
 """
 
 from __future__ import annotations
@@ -59,16 +59,16 @@ class Folder:
 
 @dataclass
 class Args:
-    """Check, film and play scenes of your own."""
+    """Check, render and play scenes of your own."""
 
     folder: Path | None = None
     """yours; a miniature is written where there is none"""
     out: Path = Path("out/my-scenes")
-    """where the miniature and the film go"""
+    """where the miniature and the preview go"""
     n_vehicles: int = 3
     """how many share their maps when it is played"""
     frames: int = 8
-    """frames of the miniature, and of the game"""
+    """frames of the miniature, and of the episode"""
 
 
 def write_miniature(folder: Path, vehicles: int, frames: int) -> Path:
@@ -93,7 +93,7 @@ def write_miniature(folder: Path, vehicles: int, frames: int) -> Path:
 
 
 def main(args: Args) -> None:
-    """What a user does with a new source: check it, look at it, play on it."""
+    """Check a new source, render it as a video, and play on it."""
     source = Folder(args.folder or write_miniature(args.out / "miniature", args.n_vehicles, args.frames))
     print(f"{len(check_scenes(source))} laws kept")
     name = source.names()[0]
@@ -106,7 +106,7 @@ def main(args: Args) -> None:
     while env.agents:
         *_, infos = env.step({agent: env.action_space(agent).sample() for agent in env.agents})
         damage += infos["adversary_0"]["damage"]
-    print(f"played: damage {damage:.1f} in {args.frames} frames, one liar among {args.n_vehicles}")
+    print(f"played: detection loss/frame {damage / args.frames:.2f}, one attacker among {args.n_vehicles}")
 
 
 if __name__ == "__main__":

@@ -1,15 +1,16 @@
-"""What should pass against the ego's own view? Thresholds of ROBOSAC's and PASAC's scores, by size of the group.
+"""Calibrate the thresholds of ROBOSAC and PASAC against the ego-only view, by size of the group.
 
-    python examples/calibrate_pasac.py                                             # measure, print, draw
-    python examples/calibrate_pasac.py --frames 4 --write defenders                # and store what "calibrated" means
-    python examples/calibrate_pasac.py --frames 3 --write defenders --fusion max   # for both defenders, and so on
+    python examples/calibrate_pasac.py                                                      # measure, print, draw
+    python examples/calibrate_pasac.py --frames 4 --write defenders/thresholds              # and store "calibrated"
+    python examples/calibrate_pasac.py --frames 3 --write defenders/thresholds --fusion max # and so on
 
-ROBOSAC and PASAC hold the view of the ego and some others against what the ego sees alone, by the Jaccard similarity of
-boxes (0.3 as published) or by the consistency of score maps (CCLoss, 0.08, made for segmentation). Here both are
-measured on the calibration scenes, the ego honest and PGD lying jointly in k = 0 … n - 1 of the others (Δ 0.3, 15 steps
-of 0.1). The threshold of a size is the one that errs least: the mean of "an honest group fails" and "a group with a
-liar passes", the latter averaged over the numbers of liars so that each counts alike. Groups of one are single vehicles
-other than the ego, which PASAC looks at with trust_ego=False only.
+ROBOSAC and PASAC compare the view of a group that contains the ego with the ego-only view. They compare the boxes by
+their Jaccard similarity (published threshold 0.3), or the score maps by their consistency (CCLoss, published threshold
+0.08, made for segmentation). Here both scores are measured on the calibration scenes. The ego is benign, and PGD
+attacks jointly in k = 0 … n - 1 of the other vehicles (Δ 0.3, 15 steps of 0.1). The threshold of a size is the one that
+errs least: it minimises the mean of the share of benign groups that fail and the share of groups with an attacker that
+pass. The latter is averaged over the numbers of attackers, so that each number has the same weight. Groups of one are
+single vehicles other than the ego. PASAC verifies those with trust_ego=False only.
 """
 
 from __future__ import annotations
@@ -33,12 +34,13 @@ import agents
 from cp_env.detector import load_detector
 from cp_env.metrics.intervals import t_interval
 from cp_env.scenes import open_source
+from cp_env.settings import Fusion
 from cp_env.world.scene_cache import SceneBank
 from cp_env.world.world import World
-from defenders.protocol import Defender, Frame, Inspection, Query, Verdict
+from defenders.protocol import Defender, Frame, Informed, Inspection, Query, Verdict
 from defenders.thresholds.tables import EGO_ONLY, write_thresholds
 
-Key = tuple[int, int]  # size of the group, liars in it
+Key = tuple[int, int]  # size of the group, attackers in it
 Found = dict[Key, dict[str, list[float]]]  # scores by scene
 PAPER = {"agreement": 0.08, "similarity": 0.3}
 
@@ -46,7 +48,7 @@ PAPER = {"agreement": 0.08, "similarity": 0.3}
 @dataclass
 class Args:
     scenes: str = "town/calibration"
-    fusion: str = "mean"  # or max, sum, v2vnet, disconet
+    fusion: Fusion = "mean"
     n_scenes: int | None = None  # the first so many (all by default)
     n_vehicles: int = 5
     frames: int = 6  # of every scene
@@ -57,11 +59,11 @@ class Args:
     write: Path | None = None  # folder of ego_agreement.json and ego_similarity.json, for the fusion's entries
 
 
-class Surveyor(Defender):
-    """An instrument, not a defence: holds every group with the ego, and every other vehicle, against the ego alone."""
+class Surveyor(Defender, Informed):
+    """An instrument, no defence: compares groups with the ego, and single other vehicles, with the ego-only view."""
 
-    def tell(self, liars: frozenset[int]) -> None:
-        self.liars = frozenset(liars)
+    def reveal_attackers(self, attackers: frozenset[int]) -> None:
+        self.attackers = frozenset(attackers)
 
     def reset(self, n_vehicles: int, rng: np.random.Generator) -> None:
         others = range(1, n_vehicles)
@@ -70,27 +72,29 @@ class Surveyor(Defender):
         self.measured: list[tuple[Key, dict[str, float]]] = []
 
     def inspect(self, frame: Frame) -> Inspection:
-        alone, *views = yield Query([{0}, *self.groups], verification=False)
+        ego_only, *views = yield Query([{0}, *self.groups], verification=False)
         for group, view in zip(self.groups, views, strict=True):
-            scores = {score: getattr(frame, score)(view, alone) for score in PAPER}
-            self.measured.append(((len(group), len(group & self.liars)), scores))
+            scores = {score: getattr(frame, score)(view, ego_only) for score in PAPER}
+            self.measured.append(((len(group), len(group & self.attackers)), scores))
         return Verdict({0})
 
 
 def survey(args: Args) -> dict[str, Found]:
-    """Both scores by (size, liars) and scene."""
+    """Both scores by (size, attackers) and scene."""
     bank = SceneBank(open_source(args.scenes), load_detector(args.fusion))
     found: dict[str, Found] = {score: defaultdict(lambda: defaultdict(list)) for score in PAPER}
     jobs = list(itertools.product(bank.source.names()[: args.n_scenes], range(args.n_vehicles)))
     for number, (name, k) in enumerate(track(jobs, f"surveying {args.fusion}")):
         rng = np.random.default_rng([args.seed, number])
-        liars = tuple(sorted((1 + rng.permutation(args.n_vehicles - 1)[:k]).tolist()))
-        world = World(1, defender=Surveyor(), bank=bank, n_vehicles=args.n_vehicles, attackers=liars, grace_frames=0)
+        attackers = tuple(sorted((1 + rng.permutation(args.n_vehicles - 1)[:k]).tolist()))
+        world = World(
+            1, defender=Surveyor(), bank=bank, n_vehicles=args.n_vehicles, attackers=attackers, grace_frames=0
+        )
         world.reset([np.random.SeedSequence([args.seed, number])], options={"scene": name})
-        attacker = agents.make(args.attack if k else "none")
-        attacker.reset(1, rng)
+        attack = agents.make(args.attack if k else "none")
+        attack.reset(1, rng)
         for _ in range(args.frames):
-            world.step(attacker.act(world.situation()))
+            world.step(attack.act(world.situation()))
         (surveyor,) = world.defenders
         assert isinstance(surveyor, Surveyor)
         for key, scores in surveyor.measured:
@@ -104,13 +108,14 @@ def pooled(found: Found, key: Key) -> np.ndarray:
 
 
 def errors(found: Found, size: int, epsilon: float) -> tuple[float, float]:
-    """Shares of the honest groups that fail and of the groups with a liar that pass, each number of liars alike."""
-    lying = [pooled(found, key) for key in sorted(found) if key[0] == size and key[1] > 0]
-    return float((pooled(found, (size, 0)) <= epsilon).mean()), float(np.mean([(x > epsilon).mean() for x in lying]))
+    """Shares of benign groups that fail and of groups with an attacker that pass, averaged over k."""
+    contaminated = [pooled(found, key) for key in sorted(found) if key[0] == size and key[1] > 0]
+    benign_fail = (pooled(found, (size, 0)) <= epsilon).mean()
+    return float(benign_fail), float(np.mean([(x > epsilon).mean() for x in contaminated]))
 
 
 def threshold(found: Found, size: int) -> float:
-    """Where honest and lying groups of this size are told apart best."""
+    """The threshold that best separates benign groups of this size from groups with attackers."""
     values = np.concatenate([pooled(found, key) for key in found if key[0] == size])
     grid = np.linspace(values.min(), values.max(), 201)[:-1]
     wrong = np.array([sum(errors(found, size, e)) for e in grid])
@@ -119,12 +124,14 @@ def threshold(found: Found, size: int) -> float:
 
 
 def table(score: str, found: Found, epsilon: dict[int, float], args: Args) -> Table:
-    liars = range(args.n_vehicles)
-    title = f"{args.fusion}: {score} with the ego alone; errors: honest groups that fail / groups with a liar that pass"
-    shown = Table("group", *(f"{k} liars" for k in liars), "ε", "errors at ε", f"errors at {PAPER[score]}", title=title)
+    attackers = range(args.n_vehicles)
+    title = f"{args.fusion}: {score} to the ego-only view; errors: benign groups that fail / others that pass"
+    shown = Table(
+        "group", *(f"{k} attackers" for k in attackers), "ε", "errors at ε", f"errors at {PAPER[score]}", title=title
+    )
     for size in sorted(epsilon):
-        means = {k: [np.mean(x) for x in found[size, k].values()] for k in liars if (size, k) in found}
-        cells = [f"{t_interval(means[k]):.3f}" if k in means else "–" for k in liars]
+        means = {k: [np.mean(x) for x in found[size, k].values()] for k in attackers if (size, k) in found}
+        cells = [f"{t_interval(means[k]):.3f}" if k in means else "–" for k in attackers]
         rates = ["{:.2f} / {:.2f}".format(*errors(found, size, e)) for e in (epsilon[size], PAPER[score])]
         shown.add_row(str(size), *cells, f"{epsilon[size]:.3f}", *rates)
     return shown
@@ -141,13 +148,13 @@ def draw(found: dict[str, Found], epsilon: dict[str, dict[int, float]], args: Ar
                 if (size, k) in by_key:
                     values = pooled(by_key, (size, k))
                     axis.hist(
-                        values, edges, density=True, histtype="step", lw=1.8, color=colours[k], label=f"{k} liars"
+                        values, edges, density=True, histtype="step", lw=1.8, color=colours[k], label=f"{k} attackers"
                     )
             axis.axvline(PAPER[score], color="grey", ls=":", label="as published")
             axis.axvline(epsilon[score][size], color="crimson", ls="--", label="calibrated")
-            axis.set(title=f"the ego and {size - 1} more", xlabel=f"{score} with the ego alone")
+            axis.set(title=f"the ego and {size - 1} more", xlabel=f"{score} to the ego-only view")
         row[0].set_ylabel("density")
-    handles, labels = grid[-1, -1].get_legend_handles_labels()  # the panel that has every number of liars
+    handles, labels = grid[-1, -1].get_legend_handles_labels()  # the panel that has every number of attackers
     figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), fontsize=9)
     args.out.mkdir(parents=True, exist_ok=True)
     path = args.out / f"ego_only-{args.fusion}.png"

@@ -1,10 +1,11 @@
-"""What a learned attacker does and when: the numbers it plays, by what the defender thinks at that moment.
+"""What a learned attack does and when: the numbers it plays, by the state of the defender at that moment.
 
     python examples/explain_attacker.py                                # the policies that ship with the package
     python examples/explain_attacker.py --policies runs/prbi-*/policy.safetensors
 
-A frame belongs to one of three moments, by the outcome of the frame before it: `calm` (everyone fused looked like the
-last trusted view), `alarmed` (it did not, and the defender is not sure yet), `sure` (the defender has converged).
+A frame belongs to one of three moments, by the outcome of the frame before it: `calm` (the view with everyone fused
+resembled the last trusted view), `alarmed` (it did not, and the defender has not converged yet), `sure` (the defender
+has converged).
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from agents.learning.policy import Policy, load_policy, policy_names
 from agents.learning.training import open_bank
 from cp_env.envs.actions import similarity_bounded
 from cp_env.envs.actions.guided import Guidance
-from cp_env.evaluation import Cell, Protocol, Stage
+from cp_env.evaluation import Conditions, Rollout, Run
 from cp_env.world.situation import Outcome
 
 MOMENTS = ("calm", "alarmed", "sure")
@@ -38,7 +39,7 @@ UNITS = {
     "x": "aim, m",
     "y": "aim, m",
     "width": "of the aim, m",
-    "persistence": "of the last lie",
+    "persistence": "of the last perturbation",
     "fires": "share of frames",
     "floor": "similarity",
 }
@@ -52,7 +53,7 @@ class Args:
     n_scenes: int = 4
     """how many of them, one episode each"""
     seed: int = 0
-    """of the liars"""
+    """of the attackers"""
 
 
 def moments(outcome: Outcome | None, worlds: int) -> list[str]:
@@ -65,15 +66,15 @@ def moments(outcome: Outcome | None, worlds: int) -> list[str]:
 
 
 @dataclass(frozen=True)
-class Overheard:
+class Recorded:
     """A policy, with what it played last."""
 
     policy: Policy
     played: list[np.ndarray] = field(default_factory=lambda: [np.empty(0)])
 
     @property
-    def knobs(self) -> dict[str, Any]:
-        return self.policy.knobs
+    def options(self) -> dict[str, Any]:
+        return self.policy.options
 
     def __call__(self, observations: np.ndarray) -> np.ndarray:
         self.played[0] = self.policy(observations)
@@ -82,24 +83,26 @@ class Overheard:
 
 def watch(policy: Policy, args: Args) -> dict[str, list[np.ndarray]]:
     """What every slot's numbers mean (8 or 9, in their units) in every frame, by moment; grace frames are left out."""
-    bank, told = open_bank(args.scenes, args.n_scenes), Overheard(policy)
-    names, frames = bank.source.names(), policy.knobs["max_frames"]
-    protocol = Protocol(scenes=bank.source, names=names, frames=frames, n_vehicles=policy.knobs["n_vehicles"])
-    stage = Stage(Cell(policy.defender, "policy", policy.knobs["n_attackers"], args.seed, names), protocol, bank, told)
+    bank, recorded = open_bank(args.scenes, args.n_scenes), Recorded(policy)
+    names, frames = bank.source.names(), policy.options["max_frames"]
+    conditions = Conditions(scenes=bank.source, names=names, frames=frames, n_vehicles=policy.options["n_vehicles"])
+    rollout = Rollout(
+        Run(policy.defender, "policy", policy.options["n_attackers"], args.seed, names), conditions, bank, recorded
+    )
     played: dict[str, list[np.ndarray]] = defaultdict(list)
     outcome: Outcome | None = None
     for frame in range(frames):
-        before, outcome = outcome, stage.move()
-        numbers = meaning(told.played[0], policy.knobs["action"], stage.world.detector.extent)
-        if frame >= protocol.grace_frames:
+        before, outcome = outcome, rollout.step()
+        numbers = meaning(recorded.played[0], policy.options["action"], rollout.world.detector.extent)
+        if frame >= conditions.grace_frames:
             for moment, slots in zip(moments(before, len(names)), numbers, strict=True):
                 played[moment] += list(slots)
     return played
 
 
 def meaning(actions: np.ndarray, action: str, extent: float) -> np.ndarray:
-    """The numbers of guided or quiet actions in the units of UNITS, in its order."""
-    actions, *floor = similarity_bounded.read(actions) if action == "quiet" else (actions,)
+    """The numbers of guided or stealth actions in the units of UNITS, in its order."""
+    actions, *floor = similarity_bounded.read(actions) if action == "stealth" else (actions,)
     guidance = Guidance.read(torch.from_numpy(actions), extent)
     return np.stack([*(getattr(guidance, f.name).numpy() for f in fields(Guidance)), *floor], axis=-1)
 

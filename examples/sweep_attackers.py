@@ -1,4 +1,4 @@
-"""Train attackers against several defenders, in several configurations and seeds; keep the strongest against each.
+"""Train attacks against several defenders, in several configurations and seeds; keep the strongest against each.
 
     python examples/sweep_attackers.py --defenders prbi robosac --seeds 0 1
 
@@ -22,16 +22,16 @@ from rich.console import Console
 from rich.markdown import Markdown
 from tqdm import tqdm
 
-from agents.learning.sweep import Run, keep, plan_sweep, summarise, sweep, write_table
+from agents.learning.sweep import TrainingRun, keep, plan_sweep, summarise, sweep, write_table
 from agents.learning.training import Recipe, open_bank
 
-SHOWN = {"damage": "damage per episode", "excluded": "share of liars left out"}
+SHOWN = {"damage": "detection loss/frame", "excluded": "share of attackers excluded"}
 
 
 @dataclass
 class Args:
     defenders: list[str] = field(default_factory=lambda: ["prbi", "robosac", "pasac:score=similarity", "bayes"])
-    """whom to beat"""
+    """the defenders to beat"""
     configurations: list[str] = field(default_factory=lambda: ["shared", "joint:joint=True,knowledge=white-box"])
     """names, with what differs from the recipe: name:field=value,field=value"""
     seeds: list[int] = field(default_factory=lambda: [0, 1])
@@ -65,7 +65,7 @@ def main(args: Args) -> None:
     console.print(f"wrote {args.out}/sweep.md, sweep.json, curves.png and {', '.join(map(str, kept))}")
 
 
-def draw(runs: list[Run], path: Path) -> None:
+def draw(runs: list[TrainingRun], path: Path) -> None:
     """Learning curves on the scenes held back: mean over seeds, and their range; a column a defender."""
     defenders = list(dict.fromkeys(run.recipe.defender for run in runs))
     figure, grid = plt.subplots(
@@ -88,12 +88,12 @@ def draw(runs: list[Run], path: Path) -> None:
     plt.close(figure)
 
 
-def _curves(axes: Axes, runs: list[Run], key: str) -> None:
+def _curves(axes: Axes, runs: list[TrainingRun], key: str) -> None:
     names = list(dict.fromkeys(run.configuration for run in runs))
     for colour, name in enumerate(names):
         curves = [run.curve for run in runs if run.configuration == name]
-        frames = [look["frames"] for look in curves[0]]
-        values = np.array([[look[key] for look in curve] for curve in curves])
+        frames = [evaluation["frames"] for evaluation in curves[0]]
+        values = np.array([[evaluation[key] for evaluation in curve] for curve in curves])
         axes.plot(frames, values.mean(0), f"C{colour}o-", ms=3, label=name)
         axes.fill_between(frames, values.min(0), values.max(0), color=f"C{colour}", alpha=0.2, lw=0)
     axes.grid(alpha=0.3)

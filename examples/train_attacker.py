@@ -1,4 +1,4 @@
-"""Train an attacker with PPO against a defender, watch it in TensorBoard, keep the policy that did most damage.
+"""Train an attack with PPO against a defender, follow it in TensorBoard, keep the policy that did most damage.
 
     python examples/train_attacker.py --seed 1
     python examples/train_attacker.py --defender robosac --joint --knowledge white-box
@@ -31,9 +31,9 @@ def main(args: Args) -> None:
     torch.set_num_threads(1)
     out = args.out or Path("runs") / f"{args.recipe.defender}-{args.recipe.seed}"
     with tqdm(total=args.recipe.frames, unit="frame", desc="learning") as bar:
-        curve = train(args.recipe, out, tensorboard=True, tell=lambda frames: bar.update(frames - bar.n))
-    most = max(look["damage"] for look in curve)
-    Console().print(f"most damage per episode on {args.recipe.holdout}: {most:.1f}")
+        curve = train(args.recipe, out, tensorboard=True, report_progress=lambda frames: bar.update(frames - bar.n))
+    most = max(evaluation["damage"] for evaluation in curve)
+    Console().print(f"highest detection loss/frame on {args.recipe.holdout}: {most:.3f}")
     Console().print(f"the policy is in {out / 'policy.safetensors'}; play it with examples/play_attacker.py")
 
 

@@ -1,60 +1,48 @@
-"""Who enters: attackers by name, learned ones by their file, and outsiders by where their class is."""
+"""Attacks that enter the arena: scripted ones by name, learned ones by their file, your own by module and class."""
 
 from __future__ import annotations
 
 from typing import Any
 
-import agents
-from agents.attacks.cached import Remembered
-from agents.learning.policy import load_policy
-from cp_env.evaluation import Attacker, Learned
-from cp_env.evaluation.plan.runs import outsider
+from agents.attacks.cached import CachedAttack
+from agents.attacks.registry import ATTACKS, ENTRIES, on_timetable
+from agents.protocol import Attack, Learned
+from defenders.registry import Spec
 
-POLICY = "policy"
-"""The name of learned attackers; the knob `name` says which: one that ships, or a `.safetensors` file."""
-
-UNTOLD = ("noise", "pgd", "bim", "mi_fgsm", "cw")
+DEFENCE_UNAWARE = ("noise", "pgd", "bim", "mi_fgsm", "cw")
 """Attacks that know of no defence: each process computes them once for all defenders that they meet in a row."""
 
-_held: dict[str, Remembered] = {}
+_cache: dict[str, CachedAttack] = {}
 
 
-def make_attacker(name: str, /, **knobs: Any) -> Attacker | Learned:
-    """An attacker that can play in the arena.
+def make_attack(attack: str | Attack, **options: Any) -> Attack | Learned:
+    """An attack that can play in the arena.
 
     Args:
-        name: one of `agents.names()`; "policy", with `name=` in its knobs; "module:Class" (or "package.module.Class")
-            of a class or function of yours that builds an `agents.protocol.Attacker`, or a policy with `knobs`.
-        knobs: of the attacker.
+        attack: one of `agents.names()`; "policy:name=NAME"; or "module:Class" of a class or annotated function of yours
+            that builds an `agents.Attack`, or a policy with `options`; each with options or without.
+        **options: further options of the attack.
+
+    Returns:
+        The attack.
 
     Raises:
-        ValueError: an unknown name, a class that cannot be imported, knobs it has not, or what is no attacker.
+        ValueError: an unknown name or option, a value of the wrong type, or a place that holds no attack: nothing of it
+            is called then.
     """
-    if name not in (POLICY, *agents.names()) and not outsider(name):
-        raise ValueError(
-            f"unknown attacker {name!r}; known: {', '.join(agents.names())}, {POLICY}:name=…, or module:Class of yours"
-        )
-    try:
-        if name == POLICY:
-            made: Any = load_policy(**knobs)
-        elif name in UNTOLD and "audience" not in knobs:
-            made = _remembered(name, knobs)
-        else:
-            made = agents.make(name, **knobs)
-    except TypeError as error:
-        raise ValueError(f"cannot build attacker {name!r} with {sorted(knobs)}: {error}") from error
-    if not isinstance(made, Attacker | Learned):
-        raise ValueError(
-            f"{name!r} built a {type(made).__name__}; an attacker has reset and act, a policy has knobs and is called"
-        )
+    if isinstance(attack, str):
+        spec = Spec.parse(attack)
+        if spec.name in DEFENCE_UNAWARE and "target_groups" not in spec.options | options:
+            return _cached(attack, options)
+    made: Attack | Learned = on_timetable(ENTRIES, attack, **options)
     return made
 
 
-def _remembered(name: str, knobs: dict[str, Any]) -> Remembered:
-    """That attacker with what it has answered so far; the one last made is kept."""
-    key = repr((name, sorted(knobs.items())))
-    if key not in _held:
-        made = Remembered(agents.make(name, **knobs))
-        _held.clear()
-        _held[key] = made
-    return _held[key]
+def _cached(attack: str, options: dict[str, Any]) -> CachedAttack:
+    """That attack with the answers it has given so far; the one last made is kept."""
+    key = repr((attack, sorted(options.items())))
+    if key not in _cache:
+        made = CachedAttack(on_timetable(ATTACKS, attack, **options))
+        _cache.clear()
+        _cache[key] = made
+    return _cache[key]

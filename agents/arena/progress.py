@@ -1,4 +1,4 @@
-"""Bars on the screen of the programs that play many cells."""
+"""Progress bars of the programs that play many runs."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from typing import TypeVar
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from cp_env.evaluation import Cell
+from cp_env.evaluation import Run
 
 T = TypeVar("T")
 
 
 class Bars(Progress):
-    """A bar for each stage of a run, with what was done last beside it."""
+    """A bar for each stage of the program, and the last thing that was done."""
 
     def __init__(self, console: Console) -> None:
         super().__init__(
@@ -34,6 +34,6 @@ class Bars(Progress):
             self.update(task, advance=1, last=name(step))
 
 
-def duel(cell: Cell) -> str:
-    """A cell in a few words."""
-    return f"{cell.defender} against {cell.attack}, k = {cell.k}"
+def run_label(run: Run) -> str:
+    """A run in a few words."""
+    return f"{run.defender} against {run.attack}, k = {run.k}"

@@ -1,7 +1,7 @@
-"""An attack that knows of no defence, computed once for all the defences it meets.
+"""A cache for attacks that know of no defence: computed once for all the defenders they meet.
 
-Gradient ascent takes most of the time of an episode, and one whose liars know nothing of the defence does the same
-against every defender: in a comparison of defenders only the first has to wait for it.
+Gradient ascent takes most of the time of an episode. An attack that knows nothing of the defence does the same against
+every defender: in a comparison of defenders only the first has to wait for it.
 """
 
 from __future__ import annotations
@@ -17,61 +17,65 @@ import numpy as np
 from jaxtyping import Float
 from torch import Tensor
 
-from agents.protocol import Attacker, Streams, streams
+from agents.protocol import Attack, Streams, streams
 from cp_env.world.situation import Situation
 
-UNTOLD = ("fused", "output", "verdict", "rehearse", "features", "clean", "detector")
-"""Fields of a situation that tell of the defence, and those that follow from the rest and the detector's digest."""
+WITHHELD = ("fused", "output", "verdict", "simulate", "features", "clean", "detector")
+"""Fields of a situation that reveal the defence, and those that follow from the rest and the detector's digest."""
 
 
 @dataclass
-class Remembered:
-    """`attacker`, whose answers are kept: asked the same again, from the episode's first frame on, it answers at once.
+class CachedAttack:
+    """`attack` with a cache: in a situation with the same history since the episode's first frame, it answers at once.
 
-    It is shown nothing of the defence: all present seem to be fused, no frame seems to have been judged, and `rehearse`
-    raises a ValueError. The last `frames` answers are kept, one for all worlds of a frame.
+    It is shown nothing of the defence: all present seem to be fused, no frame seems to have been judged, and `simulate`
+    raises a ValueError.
+
+    Args:
+        attack: the attack whose answers are cached.
+        frames: number of answers kept, one for all worlds of a frame; the oldest are dropped first.
     """
 
-    attacker: Attacker
+    attack: Attack
     frames: int = 128
-    computed: int = field(default=0, init=False)  # answers that could not be remembered
-    _known: OrderedDict[bytes, tuple[Tensor, Attacker]] = field(default_factory=OrderedDict, init=False, repr=False)
-    _story: bytes = field(default=b"", init=False, repr=False)  # of the episode so far: what an answer depends on
+    computed: int = field(default=0, init=False)  # answers that were not in the cache
+    _cache: OrderedDict[bytes, tuple[Tensor, Attack]] = field(default_factory=OrderedDict, init=False, repr=False)
+    _history: bytes = field(default=b"", init=False, repr=False)  # of the episode so far: what an answer depends on
 
     def reset(self, n_worlds: int, rng: Streams) -> None:
         generators = streams(n_worlds, rng)
-        self.attacker = copy.deepcopy(self.attacker)  # the last one is remembered as it is
-        self.attacker.reset(n_worlds, generators)
-        self._story = _digest(repr([one.bit_generator.state for one in generators]).encode())
+        self.attack = copy.deepcopy(self.attack)  # the cache keeps the last one as it is
+        self.attack.reset(n_worlds, generators)
+        self._history = _digest(repr([one.bit_generator.state for one in generators]).encode())
 
     def act(self, situation: Situation) -> Float[Tensor, "E k C H W"]:
-        """See `Attacker.act`."""
-        self._story = _digest(self._story, *_facts(situation))
-        if self._story not in self._known:
-            acting = copy.deepcopy(self.attacker)
-            self._known[self._story] = acting.act(_undefended(situation)), acting
+        """See `Attack.act`."""
+        self._history = _digest(self._history, *_facts(situation))
+        if self._history not in self._cache:
+            acting = copy.deepcopy(self.attack)
+            self._cache[self._history] = acting.act(_undefended(situation)), acting
             self.computed += 1
-        self._known.move_to_end(self._story)
-        while len(self._known) > self.frames:
-            self._known.popitem(last=False)
-        delta, self.attacker = self._known[self._story]
+        self._cache.move_to_end(self._history)
+        while len(self._cache) > self.frames:
+            self._cache.popitem(last=False)
+        delta, self.attack = self._cache[self._history]
         return delta.clone()
 
 
 def _undefended(situation: Situation) -> Situation:
-    """The same where nobody defends, as far as one can see."""
+    """The same situation without what it shows of the defence."""
     nothing = (None,) * len(situation.fused)
-    return replace(situation, fused=situation.present, output=nothing, verdict=nothing, rehearse=_refuse)
+    return replace(situation, fused=situation.present, output=nothing, verdict=nothing, simulate=_refuse)
 
 
 def _refuse(delta: Float[Tensor, "E k C H W"], rng: Sequence[np.random.Generator]) -> NoReturn:
-    raise ValueError("a remembered attacker knows of no defence and cannot rehearse it: play it as it is")
+    raise ValueError("a cached attack knows of no defence and cannot simulate it: play it without the cache")
 
 
 def _facts(situation: Situation) -> list[bytes]:
-    """Everything else of a situation that an answer may depend on."""
-    told = {part.name: getattr(situation, part.name) for part in fields(situation) if part.name not in UNTOLD}
-    bits = {name: _bits(value) for name, value in told.items()}
+    """Everything else in a situation that an answer may depend on."""
+    shown = {part.name: getattr(situation, part.name) for part in fields(situation) if part.name not in WITHHELD}
+    bits = {name: _bits(value) for name, value in shown.items()}
     return [
         situation.detector.digest.encode(),
         *(part for item in bits.items() for part in (item[0].encode(), item[1])),

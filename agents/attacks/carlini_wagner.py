@@ -5,7 +5,7 @@ hinge that is flat once the attack succeeds by a margin κ. Here:
 
 * a feature map has no box; what bounds δ is the channel's ball, ‖δ‖ ≤ Δ of PRBI Eq. (1). So δ = Δ tanh w, entry by
   entry for L∞, and of the length for L2: whatever w is, δ lies inside;
-* f is minus the objective that all attackers share, PRBI Eq. (2); its `MARGIN` is their κ;
+* f is minus the objective that all attacks share, PRBI Eq. (2); its `MARGIN` is their κ;
 * ‖δ‖₂² is counted as a share of the largest that the ball allows, so that c means the same for every map and budget;
 * they search for the smallest c that succeeds. To a set of boxes success is no yes or no, and 15 steps (PRBI Sec. 11.1)
   leave no room: c is fixed, and the iterate of the lowest value is kept, that is, of the most damage for its size.
@@ -21,17 +21,20 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from agents.attacks.constraint import MAP, Domain
-from agents.attacks.pgd import Found, better, check_steps
+from agents.attacks.constraint import FeasibleSet
+from agents.attacks.pgd import Optimum, better, check_steps
 from agents.attacks.targets import Loss
+from cp_env.perturbation.ball import MAP
 
 
 @dataclass(frozen=True)
 class CarliniWagner:
-    """Adam over w, `steps` times; the iterate of the lowest value is kept. A `Search`.
+    """Adam over w, `steps` times; the iterate of the lowest value is kept. An `Optimizer`.
 
-    `step_size` is an absolute length in the ball's norm, as for PGD, of a first step: Adam's rate in w follows from it.
-    The larger `c`, the less the size of the perturbation counts.
+    Args:
+        steps: of Adam.
+        step_size: an absolute length in the ball's norm, as for PGD, of a first step: Adam's rate in w follows from it.
+        c: weight of the objective; the larger it is, the less the size of the perturbation counts.
     """
 
     steps: int = 15
@@ -43,19 +46,19 @@ class CarliniWagner:
         if not self.c > 0:
             raise ValueError(f"Carlini and Wagner's constant must be positive, got c={self.c}")
 
-    def __call__(self, loss: Loss, start: Float[Tensor, "T m C H W"], domain: Domain) -> Found:
-        """See `Search`; how good a δ is, is minus the value that they minimise."""
-        start = domain.project(start)
-        if domain.budget == 0:
+    def __call__(self, loss: Loss, start: Float[Tensor, "T m C H W"], feasible: FeasibleSet) -> Optimum:
+        """See `Optimizer`; the value of a δ is minus the one that they minimise."""
+        start = feasible.project(start)
+        if feasible.budget == 0:
             return start, start.new_zeros(len(start))
-        inside, outside, size = SPACES[domain.norm]
-        entries = 1 if domain.norm == "linf" else math.prod(start.shape[-3:])
-        radius = torch.as_tensor(domain.radius, dtype=start.dtype, device=start.device)
+        inside, outside, size = SPACES[feasible.norm]
+        entries = 1 if feasible.norm == "linf" else math.prod(start.shape[-3:])
+        radius = torch.as_tensor(feasible.radius, dtype=start.dtype, device=start.device)
         w = outside(start / radius.clamp(min=torch.finfo(start.dtype).tiny)).requires_grad_()
-        adam = torch.optim.Adam([w], lr=self.step_size / domain.budget / math.sqrt(entries))
+        adam = torch.optim.Adam([w], lr=self.step_size / feasible.budget / math.sqrt(entries))
         best, best_value = start, start.new_full((len(start),), -torch.inf)
         for step in range(self.steps + 1):
-            part = domain.mask(inside(w))  # δ as a part of the largest
+            part = feasible.mask(inside(w))  # δ as a part of the largest
             delta = radius * part
             value = self.c * loss(delta) - size(part).sum(1)
             best, best_value = better(best, best_value, delta.detach(), value.detach())

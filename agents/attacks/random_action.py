@@ -1,4 +1,4 @@
-"""Uniform actions through an action map: what an agent does before it has learned anything."""
+"""Uniform random actions through an action map: the behaviour of an untrained agent."""
 
 from __future__ import annotations
 
@@ -15,8 +15,12 @@ from cp_env.world.situation import Situation
 
 
 @dataclass
-class Chance:
-    """Every number of every liar's action is drawn anew each frame, from U[-1, 1]; `action` is the map's name."""
+class RandomActions:
+    """Draws every number of every attacker's action anew each frame, from U[-1, 1].
+
+    Args:
+        action: name of the action map.
+    """
 
     action: str = "guided"
     _map: ActionMap | None = field(default=None, init=False, repr=False)
@@ -26,7 +30,7 @@ class Chance:
         self._map, self._streams = None, streams(n_worlds, rng)
 
     def act(self, situation: Situation) -> Float[Tensor, "E k C H W"]:
-        """See `Attacker.act`."""
+        """See `Attack.act`."""
         if self._map is None:
             self._map = make_action(self.action, *situation.received.shape[2:4])
         shape = (situation.attackers.shape[1], *self._map.space.shape)

@@ -1,4 +1,4 @@
-"""When liars lie, and with how much of the budget: functions of a world's frame numbers."""
+"""Schedules of an attack: the frames in which it attacks, and the share of the budget, by a world's frame numbers."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from agents.attacks.spec import named
 Schedule = Callable[[Int[np.ndarray, " E"]], Bool[np.ndarray, " E"]]
 """Whether each world is attacked in its frame."""
 
-Allowance = Callable[[Int[np.ndarray, " E"]], Float[np.ndarray, " E"]]
+BudgetSchedule = Callable[[Int[np.ndarray, " E"]], Float[np.ndarray, " E"]]
 """The share of Δ, 0 to 1, that may be used in each world's frame."""
 
 
@@ -21,7 +21,7 @@ def always(frame: Int[np.ndarray, " E"]) -> Bool[np.ndarray, " E"]:
     return np.ones_like(frame, dtype=np.bool_)
 
 
-def whole(frame: Int[np.ndarray, " E"]) -> Float[np.ndarray, " E"]:
+def full_budget(frame: Int[np.ndarray, " E"]) -> Float[np.ndarray, " E"]:
     """All of the budget, in every frame."""
     return np.ones_like(frame, dtype=np.float32)
 
@@ -34,7 +34,7 @@ def every(period: int, start: int = 0) -> Schedule:
 
 
 def since(start: int) -> Schedule:
-    """Honest until frame `start`, lying from then on."""
+    """Benign until frame `start`, under attack from then on."""
     return every(1, start)
 
 
@@ -42,5 +42,15 @@ SCHEDULES: dict[str, Callable[..., Schedule]] = {"always": lambda: always, "ever
 
 
 def make_schedule(schedule: str | Schedule) -> Schedule:
-    """`always`, `every@period`, `every@period:start`, `since@start`; or the function itself."""
+    """A schedule by name, or the function itself.
+
+    Args:
+        schedule: `always`, `every@period`, `every@period:start`, `since@start`, or a schedule.
+
+    Returns:
+        The schedule.
+
+    Raises:
+        ValueError: an unknown name, or numbers that it does not take.
+    """
     return named("schedule", schedule, SCHEDULES) if isinstance(schedule, str) else schedule

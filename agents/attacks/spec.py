@@ -11,7 +11,16 @@ T = TypeVar("T")
 def named(what: str, text: str, known: Mapping[str, Callable[..., T]]) -> T:
     """`known[name](*numbers)` for the text `name` or `name@number:number`.
 
-    Raises ValueError for an unknown name, for what is no number, and for numbers the named thing does not take.
+    Args:
+        what: the kind of thing, for messages.
+        text: the spec.
+        known: constructors by name.
+
+    Returns:
+        What the constructor makes.
+
+    Raises:
+        ValueError: an unknown name, text where a number is expected, or numbers that the constructor does not take.
     """
     name, _, rest = text.partition("@")
     if name not in known:

@@ -1,4 +1,4 @@
-"""What liars work on: teams that optimise together, and the views of the ego in which their lies count."""
+"""The targets of an attack: teams of attackers that optimise together, and the views of the ego that they attack."""
 
 from __future__ import annotations
 
@@ -11,53 +11,54 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from cp_env.detector.model.decoder import Dense
-from cp_env.perturbation.objective import lies
+from cp_env.perturbation.objective import attacked_output
 from cp_env.world.situation import Situation
 
-Crowd = tuple[Bool[Tensor, "E S N"], Float[Tensor, "E S"]]
-Audience = Callable[[Situation], Crowd]
+GroupDistribution = tuple[Bool[Tensor, "E S N"], Float[Tensor, "E S"]]
+TargetGroups = Callable[[Situation], GroupDistribution]
 """From a situation to S groups for each world whose views are attacked, and the weight of each in the expectation.
 
 A weight of 0 leaves a group out, so worlds may have different numbers of groups. The weights need not sum to 1.
 """
 
-Score = Callable[[Dense], Float[Tensor, " B"]]
+ViewLoss = Callable[[Dense], Float[Tensor, " B"]]
 Loss = Callable[[Float[Tensor, "T m C H W"]], Float[Tensor, " T"]]
 
 
 @dataclass(frozen=True, eq=False)
-class Views:
-    """T teams of m liars each, and B views that they attack: of `groups[b]`, by team `team[b]`.
+class AttackTargets:
+    """T teams of m attackers each, and B views that they attack: of `groups[b]`, by team `team[b]`.
 
-    A joint attack has one team of all k liars a world; independent liars are teams of one, and think the others honest.
+    A joint attack has one team of all k attackers a world. Independent attackers are teams of one, and take the others
+    for benign.
     """
 
     situation: Situation
     world: Int[Tensor, " T"]  # the row of each team's world in the situation
-    slots: Int[Tensor, "T m"]  # each liar's place in `situation.attackers`
-    reach: Bool[Tensor, "T m"]  # False for a liar who is in none of the groups: its lies have no effect
+    slots: Int[Tensor, "T m"]  # each attacker's place in `situation.attackers`
+    reach: Bool[Tensor, "T m"]  # False for an attacker in none of the groups: its perturbation has no effect
     team: Int[Tensor, " B"]
     groups: Bool[Tensor, "B N"]
     weight: Float[Tensor, " B"]
 
     @property
     def rows(self) -> Int[Tensor, " B"]:
-        """Each view's world: `situation.received[views.rows]` are its maps."""
+        """Each view's world: `situation.received[targets.rows]` are its maps."""
         return self.world[self.team]
 
     @cached_property
     def clean(self) -> Dense:
-        """What the ego would have seen, everyone fused and nobody lying; one for each view."""
+        """The output with everyone fused and no perturbation; one for each view."""
         clean = self.situation.clean
         return Dense(clean.logits[self.rows], clean.boxes[self.rows])
 
     @property
-    def liars(self) -> Int[Tensor, "T m"]:
+    def attackers(self) -> Int[Tensor, "T m"]:
         """Their numbers among the vehicles."""
         return self.situation.attackers[self.world].gather(1, self.slots)
 
-    def of(self, mine: Bool[Tensor, " T"]) -> Views:
-        """Those of the teams, and what they attack."""
+    def of(self, mine: Bool[Tensor, " T"]) -> AttackTargets:
+        """The targets of those teams."""
         seen = mine[self.team]
         return replace(
             self,
@@ -70,35 +71,47 @@ class Views:
         )
 
     def perceive(self) -> Callable[[Float[Tensor, "T m C H W"]], Dense]:
-        """What the ego sees in each view, as a function of the teams' δ; differentiable."""
-        situation, liars = self.situation, self.liars
-        pose = torch.take_along_dim(situation.ego_T_sender[self.world], liars[..., None], 1)
+        """The ego's output in each view, as a differentiable function of the teams' δ."""
+        situation, attackers = self.situation, self.attackers
+        pose = torch.take_along_dim(situation.ego_T_sender[self.world], attackers[..., None], 1)
         maps = situation.received[self.world], situation.coverage[self.world]
-        return lies(situation.eyes(self.world), *maps, liars, pose, self.team, self.groups)
+        return attacked_output(situation.ego_detector(self.world), *maps, attackers, pose, self.team, self.groups)
 
 
-Goal = Callable[[Views], Score]
-"""What liars maximise. Called once a frame with the views, so that it can prepare; what it returns is called at every
-step of the ascent with what the ego perceives in each view, and gives each view's value."""
+Objective = Callable[[AttackTargets], ViewLoss]
+"""What an attack maximises. Called once a frame with the targets, so that it can prepare. What it returns is called at
+every step of the ascent with the ego's output in each view, and gives each view's value."""
 
 
-def attack_loss(views: Views, goal: Goal) -> Loss:
-    """The expectation of `goal` over each team's views if it adds δ to what it sends, Eq. (1)."""
-    perceive, score = views.perceive(), goal(views)
+def attack_loss(targets: AttackTargets, objective: Objective) -> Loss:
+    """The expectation of `objective` over each team's views if it adds δ to what it sends, Eq. (1)."""
+    perceive, view_loss = targets.perceive(), objective(targets)
 
     def loss(delta: Float[Tensor, "T m C H W"]) -> Float[Tensor, " T"]:
-        value = views.weight * score(perceive(delta))
-        return value.new_zeros(len(delta)).index_add(0, views.team, value)
+        value = targets.weight * view_loss(perceive(delta))
+        return value.new_zeros(len(delta)).index_add(0, targets.team, value)
 
     return loss
 
 
-def survey(situation: Situation, audience: Audience, due: Bool[Tensor, " E"], *, joint: bool) -> Views:
-    """The teams that have something to gain, in the worlds that are `due`: views without a liar in them are left out.
+def collect_targets(
+    situation: Situation, target_groups: TargetGroups, due: Bool[Tensor, " E"], *, joint: bool
+) -> AttackTargets:
+    """The teams that have something to gain: views without an attacker in them are left out.
 
-    Raises ValueError for an audience of the wrong shape, type or sign.
+    Args:
+        situation: the current frame.
+        target_groups: the groups whose views are attacked.
+        due: the worlds that are attacked.
+        joint: one team of all attackers a world, or teams of one.
+
+    Returns:
+        The targets.
+
+    Raises:
+        ValueError: target groups of the wrong shape, type or sign.
     """
-    groups, weights = _checked(audience(situation), situation)
+    groups, weights = _checked(target_groups(situation), situation)
     groups = groups & situation.present[:, None]
     inside = torch.take_along_dim(groups, situation.attackers[:, None], 2)  # [E, S, k]
     inside = inside & (weights > 0)[..., None] & due[:, None, None]
@@ -110,7 +123,7 @@ def survey(situation: Situation, audience: Audience, due: Bool[Tensor, " E"], *,
         slots = slot[:, None]
     present = torch.take_along_dim(inside[world], slots[:, None], 2)  # [T, S, m]
     team, which = present.any(2).nonzero().unbind(1)
-    return Views(
+    return AttackTargets(
         situation=situation,
         world=world,
         slots=slots,
@@ -121,36 +134,42 @@ def survey(situation: Situation, audience: Audience, due: Bool[Tensor, " E"], *,
     )
 
 
-def everyone(situation: Situation) -> Crowd:
-    """All present, who are fused before anyone is suspected: Eq. (1), by liars that know of no defence."""
+def everyone(situation: Situation) -> GroupDistribution:
+    """All vehicles that are present, Eq. (1): for attackers that know of no defence."""
     return situation.present[:, None], situation.received.new_ones(len(situation.fused), 1)
 
 
-def fused(situation: Situation) -> Crowd:
-    """Those the ego is expected to fuse: the excluded have no effect, know it, and pause."""
+def fused(situation: Situation) -> GroupDistribution:
+    """The group that the ego is expected to fuse: excluded attackers have no effect, and pause."""
     return situation.fused[:, None], situation.received.new_ones(len(situation.fused), 1)
 
 
-AUDIENCES: dict[str, Audience] = {"everyone": everyone, "fused": fused}
+TARGET_GROUPS: dict[str, TargetGroups] = {"everyone": everyone, "fused": fused}
 
 
-def make_audience(audience: str | Audience) -> Audience:
-    """The audience of that name, or the function itself."""
-    if not isinstance(audience, str):
-        return audience
-    if audience not in AUDIENCES:
-        raise ValueError(f"audience must be one of {', '.join(AUDIENCES)}, or a function of yours; got {audience!r}")
-    return AUDIENCES[audience]
+def make_target_groups(target_groups: str | TargetGroups) -> TargetGroups:
+    """Target groups by name, or the function itself.
+
+    Raises:
+        ValueError: an unknown name.
+    """
+    if not isinstance(target_groups, str):
+        return target_groups
+    if target_groups not in TARGET_GROUPS:
+        raise ValueError(
+            f"target_groups must be one of {', '.join(TARGET_GROUPS)}, or a function of yours; got {target_groups!r}"
+        )
+    return TARGET_GROUPS[target_groups]
 
 
-def _checked(crowd: tuple[Tensor, Tensor], situation: Situation) -> Crowd:
-    groups, weights = crowd
+def _checked(distribution: tuple[Tensor, Tensor], situation: Situation) -> GroupDistribution:
+    groups, weights = distribution
     worlds, maps = situation.fused.shape
     shapes = tuple(groups.shape), tuple(weights.shape)
     if groups.dim() != 3 or shapes != ((worlds, groups.shape[1], maps), (worlds, groups.shape[1])):
         raise ValueError(
-            f"an audience gives groups [E, S, N] and weights [E, S] with E = {worlds} and N = {maps}; got {shapes}"
+            f"target_groups gives groups [E, S, N] and weights [E, S] with E = {worlds} and N = {maps}; got {shapes}"
         )
     if groups.dtype != torch.bool or not bool((weights >= 0).all()):
-        raise ValueError(f"an audience gives boolean groups and weights >= 0; got {groups.dtype} and {weights}")
+        raise ValueError(f"target_groups gives boolean groups and weights >= 0; got {groups.dtype} and {weights}")
     return groups, weights

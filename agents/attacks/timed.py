@@ -1,4 +1,4 @@
-"""Any attacker on a timetable, from a string: `pgd:every=3`, `in_loop:start=20`, `ramp:duty=0.5`."""
+"""An attack on a timetable, from a string: `pgd:every=3`, `in_loop:start=20`, `ramp:duty=0.5`."""
 
 from __future__ import annotations
 
@@ -10,21 +10,27 @@ from jaxtyping import Float
 from torch import Tensor
 
 from agents.attacks.schedule import every
-from agents.protocol import Attacker, Streams, streams
+from agents.protocol import Attack, Streams, streams
 from cp_env.world.situation import Situation
 
 
 @dataclass
 class Timed:
-    """`attacker` in the frames `start`, `start + every`, …, and of those in a share `duty`, drawn anew in each.
+    """`attack` in the frames `start`, `start + every`, …, and of those in a share `duty`, drawn anew in each.
 
-    Threat model: the attacker's own, by liars who know that the defence has a memory: that it forgives, settles its
+    Threat model: the attack's own, by attackers that know that the defence has a memory: that it forgives, settles its
     verdict, or lets counts decay. Sources: the intermittent attacks of PRBI's Table 6; the on-off attack on trust
     systems (Sun, Han, Liu, "Defense of Trust Management Vulnerabilities in Distributed Networks", 2008). In the other
-    frames the attacker is told that nothing it sends has an effect, as in a frame of grace.
+    frames the attack is shown a situation in which nothing it sends has an effect, as in a frame of grace.
+
+    Args:
+        attack: the attack.
+        every: period, in frames.
+        start: the first frame.
+        duty: share of those frames in which it attacks.
     """
 
-    attacker: Attacker
+    attack: Attack
     every: int = 1
     start: int = 0
     duty: float = 1.0
@@ -38,11 +44,11 @@ class Timed:
     def reset(self, n_worlds: int, rng: Streams) -> None:
         own = streams(n_worlds, rng)
         self._streams = [stream.spawn(1)[0] for stream in own]
-        self.attacker.reset(n_worlds, own)
+        self.attack.reset(n_worlds, own)
 
     def act(self, situation: Situation) -> Float[Tensor, "E k C H W"]:
-        """See `Attacker.act`."""
+        """See `Attack.act`."""
         drawn = np.array([stream.random() < self.duty for stream in self._streams])
         due = torch.from_numpy(drawn & self._schedule(situation.frame)).to(situation.active.device)
-        delta = self.attacker.act(replace(situation, active=situation.active & due))
+        delta = self.attack.act(replace(situation, active=situation.active & due))
         return delta * due[:, None, None, None, None]

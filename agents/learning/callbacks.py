@@ -1,4 +1,4 @@
-"""What is looked at while PPO learns: held-back scenes between the rollouts, and the frames of every rollout."""
+"""Evaluation while PPO learns: held-back scenes between the rollouts, and the frames of every rollout."""
 
 from __future__ import annotations
 
@@ -14,21 +14,23 @@ from agents.learning.policy import Policy, save_policy
 from agents.learning.rollout import Episodes
 from cp_env.evaluation.plan.records import write_atomically
 
-LOOKED = ("damage", "similarity", "verifications", "excluded")
+EVALUATED = ("damage", "similarity", "verifications", "excluded")
 
-Look = dict[str, float]
+Evaluation = dict[str, float]
 """Means of `Episodes` over the held-back scenes, after so many "frames" of learning."""
 
 
 class Holdout(BaseCallback):
-    """Plays the policy on scenes not trained on: before it learns, after every `every` rollouts, at the end of `learn`.
+    """Evaluates the policy on held-back scenes: before it learns, after every `every` rollouts, at the end of `learn`.
 
-    Each look is added to the learning curve, `curve.json` in `folder`; the policy that did most damage so far is kept
-    there as `policy.safetensors`. A learner that goes on from a checkpoint goes on with the curve that led to it.
+    Each evaluation is added to the learning curve, `curve.json` in `folder`. The policy that did most damage so far is
+    kept there as `policy.safetensors`. A learner that goes on from a checkpoint goes on with the curve that led to it.
 
     Args:
         play: whole episodes of a policy on the scenes held back.
         make: the learner's policy as it is now.
+        folder: where curve and policy are written.
+        every: rollouts between two evaluations.
         per_frame: steps that the learner counts in one frame of one world.
     """
 
@@ -43,26 +45,26 @@ class Holdout(BaseCallback):
     ) -> None:
         super().__init__()
         self.play, self.make, self.folder, self.every, self.per_frame = play, make, folder, every, per_frame
-        self.curve: list[Look] = read_curve(folder)
+        self.curve: list[Evaluation] = read_curve(folder)
 
     @property
-    def most(self) -> float:
-        """The most damage an episode in any look so far."""
-        return max((look["damage"] for look in self.curve), default=-np.inf)
+    def highest(self) -> float:
+        """The highest damage of any evaluation so far, per frame."""
+        return max((evaluation["damage"] for evaluation in self.curve), default=-np.inf)
 
     def _on_training_start(self) -> None:
         self._rollouts = 0
-        self.curve = [look for look in self.curve if look["frames"] <= self._now]
+        self.curve = [evaluation for evaluation in self.curve if evaluation["frames"] <= self._now]
         if not self.curve:
-            self._look()
+            self._evaluate()
 
     def _on_rollout_start(self) -> None:
         if self._rollouts and self._rollouts % self.every == 0:
-            self._look()
+            self._evaluate()
         self._rollouts += 1
 
     def _on_training_end(self) -> None:
-        self._look()
+        self._evaluate()
 
     def _on_step(self) -> bool:
         return True
@@ -71,29 +73,29 @@ class Holdout(BaseCallback):
     def _now(self) -> int:
         return self.model.num_timesteps // self.per_frame
 
-    def _look(self) -> None:
+    def _evaluate(self) -> None:
         policy = self.make(self.model)  # type: ignore[arg-type]
         episodes = self.play(policy)
-        look = {key: float(getattr(episodes, key).mean()) for key in LOOKED} | {"frames": self._now}
-        for key, value in look.items():
+        evaluation = {key: float(getattr(episodes, key).mean()) for key in EVALUATED} | {"frames": self._now}
+        for key, value in evaluation.items():
             self.logger.record(f"holdout/{key}", value)
         self.logger.dump(self.num_timesteps)
-        if look["damage"] > self.most:
-            policy.notes.update(holdout_damage=look["damage"], holdout_scenes=len(episodes.damage))
+        if evaluation["damage"] > self.highest:
+            policy.notes.update(holdout_damage=evaluation["damage"], holdout_scenes=len(episodes.damage))
             save_policy(policy, self.folder / "policy.safetensors")
-        self.curve.append(look)
+        self.curve.append(evaluation)
         write_atomically(self.folder / "curve.json", json.dumps(self.curve, indent=1))
 
 
-def read_curve(folder: Path) -> list[Look]:
+def read_curve(folder: Path) -> list[Evaluation]:
     """The learning curve that a run in `folder` has drawn so far."""
     path = folder / "curve.json"
-    curve: list[Look] = json.loads(path.read_text()) if path.exists() else []
+    curve: list[Evaluation] = json.loads(path.read_text()) if path.exists() else []
     return curve
 
 
 class FrameDamage(BaseCallback):
-    """TensorBoard curves of what the frames of a rollout looked like."""
+    """TensorBoard curves of the frames' means in each rollout."""
 
     KEYS = ("damage", "similarity", "verifications", "excluded", "perturbation_norm")
 

@@ -1,4 +1,4 @@
-"""The memory of a recurrent policy: one LSTM cell and what it remembers of every environment."""
+"""The LSTM cell of a recurrent policy, and its state in every environment."""
 
 from __future__ import annotations
 
@@ -23,20 +23,21 @@ class Memory:
     _state: tuple[Tensor, Tensor] | None = field(default=None, init=False, repr=False)  # hidden and cell, [n, h] each
 
     def reset(self) -> None:
-        """New episodes begin everywhere: remember nothing."""
+        """Forget everything: new episodes begin in all environments."""
         self._state = None
 
     def __call__(self, observations: Float[Tensor, "n d"]) -> Float[Tensor, "n h"]:
-        """What is remembered after one more frame of every environment.
+        """The hidden state after one more frame of every environment.
 
-        Raises ValueError if the number of environments is not that of the frame before.
+        Raises:
+            ValueError: the number of environments is not that of the frame before.
         """
         if self._state is None:
             nothing = observations.new_zeros(len(observations), self.weight_hh.shape[1])
             self._state = nothing, nothing
         hidden, cell = self._state
         if len(hidden) != len(observations):
-            raise ValueError(f"the policy remembers {len(hidden)} liars, not {len(observations)}: reset() it first")
+            raise ValueError(f"the policy remembers {len(hidden)} attackers, not {len(observations)}: reset() it first")
         gates = linear(observations, self.weight_ih, self.bias_ih) + linear(hidden, self.weight_hh, self.bias_hh)
         let_in, keep, new, let_out = gates.chunk(4, dim=-1)
         cell = keep.sigmoid() * cell + let_in.sigmoid() * new.tanh()

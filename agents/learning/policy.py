@@ -1,4 +1,4 @@
-"""Learned attackers on disk: a policy's small network and the knobs it was trained under, one safetensors file each.
+"""Learned attacks on disk: a policy's small network and the options it was trained under, one safetensors file each.
 
 Nothing is unpickled, and Stable-Baselines3 is not needed to play one.
 """
@@ -20,11 +20,9 @@ from torch import Tensor
 from agents.learning.lstm import Memory
 
 FOLDER = Path(__file__).parent / "policies"
-FORMAT = "cp_env policy 2"
-FORMATS = ("cp_env policy 1", FORMAT)
-"""What can be read. The first knew neither joint nor recurrent policies."""
+FORMAT = "cp_env policy 3"
 
-ABOUT = ("defender", "knobs", "notes", "joint")
+ABOUT = ("defender", "options", "notes", "joint")
 MEMORY = ("weight_ih", "weight_hh", "bias_ih", "bias_hh")
 
 
@@ -32,16 +30,16 @@ MEMORY = ("weight_ih", "weight_hh", "bias_ih", "bias_hh")
 class Policy:
     """A Gaussian policy: linear layers with tanh between them, the mean of the last, and one deviation a number.
 
-    A shared policy moves each liar by its own observation; a joint one reads the observations of all liars of a world
-    end to end, and so writes their actions. A recurrent policy puts a memory before the layers; it goes on remembering
-    from call to call until `reset`.
+    A shared policy moves each attacker by its own observation. A joint policy reads the observations of all attackers
+    of a world end to end, and writes their actions likewise. A recurrent policy puts a memory before the layers; it
+    goes on remembering from call to call until `reset`.
     """
 
     weights: tuple[Float[Tensor, "_ _"], ...]
     biases: tuple[Float[Tensor, " _"], ...]
     log_std: Float[Tensor, " a"]
-    defender: str  # whom it was trained against
-    knobs: dict[str, Any]  # of the environment it was trained in
+    defender: str  # it was trained against
+    options: dict[str, Any]  # of the environment it was trained in
     notes: dict[str, Any] = field(default_factory=dict)  # how it was trained and what it reached
     joint: bool = False
     memory: Memory | None = None
@@ -52,24 +50,25 @@ class Policy:
         return (self.memory.weight_ih if self.memory else self.weights[0]).shape[1]
 
     def reset(self) -> None:
-        """New episodes begin in all worlds."""
+        """Begin new episodes in all worlds."""
         if self.memory is not None:
             self.memory.reset()
 
     def __call__(
         self, observations: Float[np.ndarray, "*n d"], rng: np.random.Generator | None = None
     ) -> Float[np.ndarray, "*n a"]:
-        """Actions in [-1, 1]: the mean, or a draw if `rng` is given. Of a joint policy, n ends in the liars of a world.
+        """Actions in [-1, 1]: the mean, or a draw if `rng` is given. Of a joint policy, n ends in a world's attackers.
 
-        Raises ValueError for observations that are not those of the environment it was trained in.
+        Raises:
+            ValueError: observations that are not those of the environment it was trained in.
         """
-        told = np.asarray(observations, dtype=np.float32)
-        shape = (*told.shape[:-2], -1) if self.joint else told.shape
-        hidden = torch.from_numpy(told.reshape(shape))
+        array = np.asarray(observations, dtype=np.float32)
+        shape = (*array.shape[:-2], -1) if self.joint else array.shape
+        hidden = torch.from_numpy(array.reshape(shape))
         if hidden.shape[-1] != self.n_inputs:
             raise ValueError(
                 f"this policy reads observations of {self.n_inputs} numbers, not {hidden.shape[-1]}; "
-                f"make the environment with its own knobs: {self.knobs}"
+                f"make the environment with its own options: {self.options}"
             )
         if self.memory is not None:
             hidden = self.memory(hidden.reshape(-1, self.n_inputs)).reshape(*hidden.shape[:-1], -1)
@@ -78,11 +77,11 @@ class Policy:
         action: np.ndarray = hidden.numpy()
         if rng is not None:
             action = action + np.exp(self.log_std.numpy()) * rng.standard_normal(action.shape, dtype=np.float32)
-        return np.clip(action, -1.0, 1.0).reshape(*told.shape[:-1], -1)
+        return np.clip(action, -1.0, 1.0).reshape(*array.shape[:-1], -1)
 
 
 def policy_names() -> tuple[str, ...]:
-    """The learned attackers that ship with the package."""
+    """Names of the learned attacks that ship with the package."""
     return tuple(sorted(path.stem for path in FOLDER.glob("*.safetensors")))
 
 
@@ -103,6 +102,12 @@ def save_policy(policy: Policy, path: Path) -> None:
 def load_policy(name: str | Path) -> Policy:
     """A shipped policy by its name, or one from a file of yours (`….safetensors`).
 
+    Args:
+        name: one of `policy_names()`, or a file.
+
+    Returns:
+        The policy.
+
     Raises:
         ValueError: unknown name, missing file, broken file, or one of another format.
     """
@@ -117,13 +122,12 @@ def load_policy(name: str | Path) -> Policy:
         raise ValueError(f"no policy at {path}: the file is missing; train one with examples/train_attacker.py")
     try:
         with safe_open(path, framework="pt") as file:
-            about = {key: json.loads(value) for key, value in (file.metadata() or {}).items()}
-            about = about.get("about", about)  # the first format had an entry for each
+            about = json.loads((file.metadata() or {}).get("about", "{}"))
             tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 (not a dict)
     except (SafetensorError, OSError, json.JSONDecodeError) as error:
         raise ValueError(f"cannot read the policy in {path}: {error}; the file is broken") from error
-    if about.pop("format", None) not in FORMATS:
-        raise ValueError(f"{path} is no policy of the formats {', '.join(FORMATS)}; train one anew")
+    if about.pop("format", None) != FORMAT:
+        raise ValueError(f"{path} is no policy of the format {FORMAT!r}; train one anew")
     layers = range(sum(key.endswith(".weight") for key in tensors))
     return Policy(
         weights=tuple(tensors[f"{layer}.weight"] for layer in layers),

@@ -14,7 +14,7 @@ from torch import Tensor
 from agents.learning.lstm import Memory
 from agents.learning.policy import MEMORY, Policy
 
-PPO_KNOBS: dict[str, Any] = {
+PPO_OPTIONS: dict[str, Any] = {
     "n_steps": 32,
     "batch_size": 128,
     "n_epochs": 8,
@@ -32,26 +32,37 @@ MEMORY_SIZE = 64
 """Hidden units of a recurrent policy's LSTM."""
 
 
-def make_ppo(env: VecEnv, seed: int | None, *, recurrent: bool = False, **knobs: Any) -> OnPolicyAlgorithm:
-    """A fresh learner on the CPU; `knobs` override `PPO_KNOBS`.
+def make_ppo(env: VecEnv, seed: int | None, *, recurrent: bool = False, **options: Any) -> OnPolicyAlgorithm:
+    """A fresh PPO learner on the CPU.
 
-    Raises ValueError if a recurrent one is asked for and sb3-contrib is not installed.
+    Args:
+        env: the environments it learns in.
+        seed: of the learner.
+        recurrent: with an LSTM before the actor.
+        options: of PPO; they override `PPO_OPTIONS`.
+
+    Returns:
+        The learner.
+
+    Raises:
+        ValueError: a recurrent one is asked for and sb3-contrib is not installed.
     """
-    knobs = PPO_KNOBS | knobs
+    options = PPO_OPTIONS | options
     if not recurrent:
-        return PPO("MlpPolicy", env, policy_kwargs=NETWORK, seed=seed, device="cpu", **knobs)
+        return PPO("MlpPolicy", env, policy_kwargs=NETWORK, seed=seed, device="cpu", **options)
     try:
         from sb3_contrib import RecurrentPPO
     except ImportError as error:
         raise ValueError("a recurrent policy is learned by sb3-contrib: pip install 'cp-env[recurrent]'") from error
     network = NETWORK | {"lstm_hidden_size": MEMORY_SIZE}
-    return RecurrentPPO("MlpLstmPolicy", env, policy_kwargs=network, seed=seed, device="cpu", **knobs)
+    return RecurrentPPO("MlpLstmPolicy", env, policy_kwargs=network, seed=seed, device="cpu", **options)
 
 
 def adopt(model: OnPolicyAlgorithm, policy: Policy) -> None:
     """Let the actor of a learner begin where a policy stands; its critic begins anew.
 
-    Raises ValueError if the policy has another shape than the learner's actor.
+    Raises:
+        ValueError: the policy has another shape than the learner's actor.
     """
     layers, lstm = _layers(model), getattr(model.policy, "lstm_actor", None)
     pairs: list[tuple[Tensor, Tensor]] = [(model.policy.log_std, policy.log_std)]
@@ -73,7 +84,7 @@ def _layers(model: OnPolicyAlgorithm) -> list[torch.nn.Linear]:
 
 
 def export(
-    model: OnPolicyAlgorithm, defender: str, knobs: dict[str, Any], *, joint: bool = False, **notes: Any
+    model: OnPolicyAlgorithm, defender: str, options: dict[str, Any], *, joint: bool = False, **notes: Any
 ) -> Policy:
     """The actor of `model`, cut out of SB3, with its memory if it has one."""
     layers, lstm = _layers(model), getattr(model.policy, "lstm_actor", None)
@@ -82,7 +93,7 @@ def export(
         biases=tuple(layer.bias.detach().clone() for layer in layers),
         log_std=model.policy.log_std.detach().clone(),
         defender=defender,
-        knobs=dict(knobs),
+        options=dict(options),
         notes=notes | {"timesteps": int(model.num_timesteps)},
         joint=joint,
         memory=None if lstm is None else Memory(*(getattr(lstm, f"{name}_l0").detach().clone() for name in MEMORY)),
@@ -102,7 +113,11 @@ def save_checkpoint(model: OnPolicyAlgorithm, path: Path) -> None:
 
 
 def load_checkpoint(model: OnPolicyAlgorithm, path: Path) -> None:
-    """Go on from a checkpoint of the same settings. Raises ValueError if it is broken or does not fit."""
+    """Go on from a checkpoint of the same settings.
+
+    Raises:
+        ValueError: the checkpoint is broken or does not fit.
+    """
     try:
         state = torch.load(path, weights_only=True)
         model.policy.load_state_dict(state["policy"])

@@ -1,4 +1,4 @@
-"""Whole episodes of one attacker on given scenes, and what they cost the ego."""
+"""Whole episodes of one attack on given scenes, and what they cost the ego."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from jaxtyping import Float
 
-from cp_env.evaluation import Attacker, Learned, Protocol, Stage, plan
+from cp_env.evaluation import Attack, Conditions, Learned, Rollout, plan_runs
 from cp_env.world.scene_cache import SceneBank
 
 
@@ -17,11 +17,11 @@ from cp_env.world.scene_cache import SceneBank
 class Episodes:
     """One number an episode."""
 
-    damage: Float[np.ndarray, " n"]  # sum over frames of 1 - Jaccard(output, clean)
+    damage: Float[np.ndarray, " n"]  # 1 - Jaccard(output, clean), mean over frames
     frames: Float[np.ndarray, " n"]
     similarity: Float[np.ndarray, " n"]  # mean over frames, everyone fused against the last output
     verifications: Float[np.ndarray, " n"]  # mean over frames
-    excluded: Float[np.ndarray, " n"]  # mean share of the liars that the output left out
+    excluded: Float[np.ndarray, " n"]  # mean share of the attackers that the output left out
 
     @classmethod
     def joined(cls, parts: Sequence[Episodes]) -> Episodes:
@@ -29,8 +29,8 @@ class Episodes:
 
 
 def play(
-    attacker: Attacker | Learned,
-    protocol: Protocol,
+    attack: Attack | Learned,
+    conditions: Conditions,
     bank: SceneBank,
     *,
     defender: str,
@@ -38,24 +38,38 @@ def play(
     seed: int = 0,
     batch: int = 6,
 ) -> Episodes:
-    """One episode on each scene of the protocol, `batch` at a time.
+    """One episode on each scene of the conditions, `batch` at a time.
 
-    Seed and scene fix where it starts, the liars and the noise, whoever plays. Every batch meets the attacker as it was
-    handed over: what it remembers of one is not carried into the next.
+    Seed and scene decide the start, the attackers and the noise, whatever attack plays. Every batch meets the attack as
+    it was given: what it remembers of one batch is not carried into the next.
+
+    Args:
+        attack: scripted or learned.
+        conditions: scenes, frames and the settings of the environment.
+        bank: the encoded scenes.
+        defender: name, with options if need be.
+        k: number of attackers.
+        seed: of starts, attackers and noise.
+        batch: scenes in lock-step.
+
+    Returns:
+        Means of every episode.
     """
-    cells = plan(protocol, defenders=(defender,), attacks=("attacker",), ks=(k,), seeds=(seed,), batch=batch)
-    return Episodes.joined([_episodes(Stage(cell, protocol, bank, copy.deepcopy(attacker))) for cell in cells])
+    runs = plan_runs(conditions, defenders=(defender,), attacks=("attack",), ks=(k,), seeds=(seed,), batch=batch)
+    return Episodes.joined([_episodes(Rollout(run, conditions, bank, copy.deepcopy(attack))) for run in runs])
 
 
-def _episodes(stage: Stage) -> Episodes:
-    worlds = stage.world.num_envs
+def _episodes(rollout: Rollout) -> Episodes:
+    worlds = rollout.world.num_envs
     totals, over = np.zeros((len(fields(Episodes)), worlds)), np.zeros(worlds, dtype=bool)
     while not over.all():
-        outcome = stage.move()
+        outcome = rollout.step()
         collaborators = [verdict.collaborators for verdict in outcome.verdicts]
-        out = [[v not in kept for v in liars] for liars, kept in zip(outcome.attackers, collaborators, strict=True)]
+        out = [
+            [v not in kept for v in attackers] for attackers, kept in zip(outcome.attackers, collaborators, strict=True)
+        ]
         frame = [outcome.damage, np.ones(worlds), outcome.similarity, outcome.verifications, np.mean(out, axis=1)]
         totals += np.where(over, 0.0, np.stack(frame))
         over |= outcome.truncated
     damage, frames, *means = totals
-    return Episodes(damage, frames, *(total / frames for total in means))
+    return Episodes(damage / frames, frames, *(total / frames for total in means))

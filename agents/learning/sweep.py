@@ -1,8 +1,8 @@
-"""Many attackers trained: configurations × seeds against each defender, and the strongest kept.
+"""Sweeps of training runs: configurations × seeds against each defender, of which the strongest policies are kept.
 
-A learned attacker says something about a defence only when it is the strongest of several seeds and configurations
-(as the literature on robust reinforcement learning does); which one is strongest is decided on scenes held back from
-training, and told on others.
+A learned attack says something about a defence only when it is the strongest of several seeds and configurations
+(as the literature on robust reinforcement learning does). The strongest is chosen on scenes held back from training,
+and reported on others.
 """
 
 from __future__ import annotations
@@ -12,24 +12,24 @@ import multiprocessing
 import shutil
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, wait
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from itertools import product
 from pathlib import Path
 from typing import Any
 
 import torch
 
-from agents.learning.callbacks import Look, read_curve
+from agents.learning.callbacks import Evaluation, read_curve
 from agents.learning.training import Recipe, train
-from cp_env.evaluation import parse
 from cp_env.metrics.intervals import t_interval
+from defenders.registry import Spec, typed_options
 
 POLL = 2.0
-"""Seconds between two looks at how far the runs are."""
+"""Seconds between two reports of progress."""
 
 
 @dataclass(frozen=True)
-class Run:
+class TrainingRun:
     """One training run of a sweep: it lives in a folder of its own."""
 
     configuration: str  # its name
@@ -41,52 +41,65 @@ class Run:
         return self.root / slug(self.recipe.defender) / f"{self.configuration}-{self.recipe.seed}"
 
     @property
-    def curve(self) -> list[Look]:
+    def curve(self) -> list[Evaluation]:
         return read_curve(self.folder)
 
     @property
-    def best(self) -> Look:
-        """The look at which most damage was done."""
-        return max(self.curve, key=lambda look: look["damage"])
+    def best(self) -> Evaluation:
+        """The evaluation with the highest damage."""
+        return max(self.curve, key=lambda evaluation: evaluation["damage"])
 
 
 def slug(defender: str) -> str:
     """A name fit for files: `pasac:score=similarity` is `pasac-similarity`."""
-    name, knobs = parse(defender)
-    return "-".join([name, *map(str, knobs.values())])
+    spec = Spec.parse(defender)
+    return "-".join([spec.name, *spec.options.values()])
 
 
 def plan_sweep(
     base: Recipe, *, defenders: Sequence[str], configurations: Sequence[str], seeds: Sequence[int], root: Path
-) -> list[Run]:
-    """Every run, seeds outermost: a sweep cut short has tried everything once.
+) -> list[TrainingRun]:
+    """Every training run, seeds outermost: a sweep cut short has tried everything once.
 
-    A configuration is a name, or a name with fields of `Recipe` that differ from `base`: `joint:joint=True,gamma=0.95`.
+    Args:
+        base: what all runs share.
+        defenders: names, with options if need be.
+        configurations: names, or names with fields of `Recipe` that differ from `base`: `joint:joint=True,gamma=0.95`.
+        seeds: of the runs.
+        root: folder of the sweep.
 
-    Raises ValueError for a configuration that names no field, and for an axis that is empty or holds something twice.
+    Returns:
+        The runs.
+
+    Raises:
+        ValueError: a configuration that names no field, or an axis that is empty or holds something twice.
     """
-    named = [parse(configuration) for configuration in configurations]
+    named = [Spec.parse(configuration) for configuration in configurations]
     for what, values in (
         ("defenders", [slug(d) for d in defenders]),
-        ("configurations", [n for n, _ in named]),
+        ("configurations", [spec.name for spec in named]),
         ("seeds", seeds),
     ):
         if not values or len(set(values)) != len(values):
             raise ValueError(f"{what} must be distinct, and at least one; got {list(values)}")
-    known = {f.name for f in fields(Recipe)} - {"defender", "seed"}
-    for name, knobs in named:
-        if not set(knobs) <= known:
-            raise ValueError(f"configuration {name!r}: {sorted(set(knobs) - known)} are not among {sorted(known)}")
+    differing = [
+        typed_options(Recipe, spec.options, f"configuration {spec.name!r}", given=("defender", "seed"))
+        for spec in named
+    ]
     return [
-        Run(name, replace(base, defender=defender, seed=seed, **knobs), root)
-        for seed, defender, (name, knobs) in product(seeds, defenders, named)
+        TrainingRun(spec.name, replace(base, defender=defender, seed=seed, **options), root)
+        for seed, defender, (spec, options) in product(seeds, defenders, zip(named, differing, strict=True))
     ]
 
 
-def sweep(runs: Sequence[Run], workers: int) -> Iterator[int]:
-    """Train them all, `workers` at a time, one torch thread each; hands out the frames learned from, now and then.
+def sweep(runs: Sequence[TrainingRun], workers: int) -> Iterator[int]:
+    """Train all runs; yields the number of frames learned from, now and then.
 
     A run that is finished is not trained again, one that was killed goes on.
+
+    Args:
+        runs: the training runs.
+        workers: runs trained at once, each in a process with one torch thread.
     """
     if workers == 1:
         for run in runs:
@@ -102,27 +115,27 @@ def sweep(runs: Sequence[Run], workers: int) -> Iterator[int]:
                 for future in done:
                     future.result()
                 yield _learned(runs)
-        finally:  # an error, or a caller who stops asking: start nothing new
+        finally:  # an error, or a caller that stops asking: start nothing new
             pool.shutdown(wait=False, cancel_futures=True)
 
 
-def _train(run: Run) -> None:
+def _train(run: TrainingRun) -> None:
     train(run.recipe, run.folder)
 
 
-def _learned(runs: Sequence[Run]) -> int:
+def _learned(runs: Sequence[TrainingRun]) -> int:
     return sum(int(run.curve[-1]["frames"]) for run in runs if run.curve)
 
 
-def strongest(runs: Sequence[Run]) -> dict[str, Run]:
+def strongest(runs: Sequence[TrainingRun]) -> dict[str, TrainingRun]:
     """Of each defender, the run whose policy did most damage on the scenes held back."""
-    best: dict[str, Run] = {}
+    best: dict[str, TrainingRun] = {}
     for run in sorted(runs, key=lambda run: run.best["damage"]):
         best[run.recipe.defender] = run
     return best
 
 
-def keep(runs: Sequence[Run], folder: Path) -> list[Path]:
+def keep(runs: Sequence[TrainingRun], folder: Path) -> list[Path]:
     """Copy the strongest policy against each defender into `folder`, under the defender's name."""
     folder.mkdir(parents=True, exist_ok=True)
     return [
@@ -138,21 +151,21 @@ class Line:
     defender: str
     configuration: str
     seeds: tuple[int, ...]
-    damage: tuple[float, ...]  # per episode, of each seed's best policy
-    excluded: tuple[float, ...]  # share of the liars that this policy had left out
+    damage: tuple[float, ...]  # per frame, of each seed's best policy
+    excluded: tuple[float, ...]  # share of the attackers that this policy had left out
     strongest: bool  # it holds the policy that is kept
 
     def row(self) -> str:
         damage, excluded = t_interval(list(self.damage)), t_interval(list(self.excluded))
         name = f"{self.configuration}{' (kept)' if self.strongest else ''}"
-        figures = f"{format(damage, '.1f')} | {max(self.damage):.1f} | {format(excluded, '.2f')}"
-        return f"| {self.defender} | {name} | {len(self.seeds)} | {figures} |"
+        values = f"{format(damage, '.3f')} | {max(self.damage):.3f} | {format(excluded, '.2f')}"
+        return f"| {self.defender} | {name} | {len(self.seeds)} | {values} |"
 
 
-def summarise(runs: Sequence[Run]) -> list[Line]:
-    """One line a configuration and defender, in the order of the plan."""
+def summarise(runs: Sequence[TrainingRun]) -> list[Line]:
+    """One line for each configuration and defender, in the order of the plan."""
     kept = {run.folder for run in strongest(runs).values()}
-    groups: dict[tuple[str, str], list[Run]] = {}
+    groups: dict[tuple[str, str], list[TrainingRun]] = {}
     for run in runs:
         groups.setdefault((run.recipe.defender, run.configuration), []).append(run)
     return [
@@ -169,9 +182,9 @@ def summarise(runs: Sequence[Run]) -> list[Line]:
 
 
 def write_table(lines: Sequence[Line], root: Path, conditions: dict[str, Any]) -> str:
-    """`sweep.json` and `sweep.md` in `root`; the Markdown."""
+    """Write `sweep.json` and `sweep.md` in `root`; returns the Markdown."""
     head = [
-        "| defender | configuration | seeds | damage per episode | most | liars left out |",
+        "| defender | configuration | seeds | detection loss/frame | highest | attackers excluded |",
         "|---|---|--:|---|--:|---|",
     ]
     text = "\n".join([*head, *(line.row() for line in lines)]) + "\n"

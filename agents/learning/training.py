@@ -1,8 +1,8 @@
-"""One attacker trained: the recipe, and the run that follows it from wherever it was stopped.
+"""Training of one attack: the recipe, and the run that follows it from wherever it was stopped.
 
 A run is a chain of segments, each some rollouts long. Every segment begins new episodes and draws from streams of its
-own, made from the recipe's seed and its place in the chain; so a run that was killed and went on from the checkpoint
-before its last segment is, bit for bit, the run that nobody killed.
+own, made from the recipe's seed and its place in the chain. So a run that was killed and went on from the checkpoint
+before its last segment is, bit for bit, the run that was never killed.
 """
 
 from __future__ import annotations
@@ -20,36 +20,37 @@ from stable_baselines3.common.logger import configure
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecMonitor
 
-from agents.learning.callbacks import FrameDamage, Holdout, Look
+import defenders
+from agents.learning.callbacks import Evaluation, FrameDamage, Holdout
 from agents.learning.policy import Policy, load_policy
-from agents.learning.ppo import PPO_KNOBS, adopt, export, load_checkpoint, make_ppo, save_checkpoint
+from agents.learning.ppo import PPO_OPTIONS, adopt, export, load_checkpoint, make_ppo, save_checkpoint
 from agents.learning.rollout import Episodes, play
 from agents.sb3 import AdversaryVecEnv, make_vec_env
 from cp_env.detector import load_detector
-from cp_env.evaluation import Protocol
-from cp_env.evaluation.execution.rollout import open_defender
-from cp_env.scenes.subset import Some
+from cp_env.evaluation import Conditions
+from cp_env.scenes.subset import SceneSubset
+from cp_env.settings import Action, Knowledge
 from cp_env.world.scene_cache import SceneBank
 
 
 @dataclass(frozen=True, kw_only=True)
 class Recipe:
-    """How an attacker is trained; together with the versions of the libraries it decides every bit of the policy."""
+    """How an attack is trained; with the versions of the libraries it decides every bit of the policy."""
 
     defender: str = "prbi"
-    """whom to beat: a name of defenders.names(), with knobs if need be: prbi:threshold=calibrated"""
+    """the defender to beat: a name of defenders.names(), with options if need be: prbi:threshold=calibrated"""
     joint: bool = False
-    """one actor moves all liars of a world; else they share a policy that moves each by what it sees itself"""
+    """one actor moves all attackers of a world; else they share a policy that moves each by its own observation"""
     recurrent: bool = False
-    """an actor that remembers the frames before (needs the extra `recurrent`)"""
-    action: str = "guided"
-    """what its numbers mean: guided, quiet or basis, see docs/actions.md"""
-    knowledge: str = "gray-box"
+    """an actor with a memory of the frames before (needs the extra `recurrent`)"""
+    action: Action = "guided"
+    """what its numbers mean: guided, stealth or basis, see docs/actions.md"""
+    knowledge: Knowledge = "black-box"
     """how much of the defender the policy sees: black-box, gray-box or white-box"""
     reward: str = "damage"
-    """what the liars are paid: damage, ap_drop or stealth"""
+    """the reward of the attackers: damage, ap_drop or stealth"""
     seed: int = 0
-    """of the learner, the scenes and the liars"""
+    """of the learner, the scenes and the attackers"""
     frames: int = 5_000
     """frames of traffic to learn from, all worlds together; whole segments are played"""
     worlds: int = 8
@@ -73,13 +74,13 @@ class Recipe:
     """a policy whose actor is learned on: a name of agents.learning.policy.policy_names(), or a .safetensors file"""
 
     def __post_init__(self) -> None:
-        open_defender(self.defender)
+        defenders.make(self.defender)
         for name in ("frames", "worlds", "every"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be at least 1, not {getattr(self, name)}")
 
     @property
-    def knobs(self) -> dict[str, Any]:
+    def options(self) -> dict[str, Any]:
         """Of the environment."""
         copied = ("n_vehicles", "n_attackers", "action", "knowledge", "reward", "max_frames")
         return {"observation": "compact"} | {name: getattr(self, name) for name in copied}
@@ -92,18 +93,31 @@ class Recipe:
     @property
     def segment(self) -> int:
         """Frames of a segment, all worlds together."""
-        return int(self.worlds * self.every * PPO_KNOBS["n_steps"])
+        return int(self.worlds * self.every * PPO_OPTIONS["n_steps"])
 
 
 def train(
-    recipe: Recipe, folder: Path, *, tensorboard: bool = False, tell: Callable[[int], object] = lambda frames: None
-) -> list[Look]:
-    """Follow the recipe, from the last checkpoint in `folder` if there is one; the learning curve.
+    recipe: Recipe,
+    folder: Path,
+    *,
+    tensorboard: bool = False,
+    report_progress: Callable[[int], object] = lambda frames: None,
+) -> list[Evaluation]:
+    """Train by the recipe, from the last checkpoint in `folder` if there is one.
 
-    `folder` then holds the policy that did most damage, `policy.safetensors`. `tell` is called with the frames learned
-    from so far, every frame.
+    `folder` then holds the policy that did most damage, `policy.safetensors`.
 
-    Raises ValueError if `folder` holds a run of another recipe (one with fewer frames may go on), or a broken one.
+    Args:
+        recipe: how to train.
+        folder: of the run.
+        tensorboard: write TensorBoard curves there.
+        report_progress: called with the number of frames learned from so far, every frame.
+
+    Returns:
+        The learning curve.
+
+    Raises:
+        ValueError: `folder` holds a run of another recipe (one with fewer frames may go on), or a broken one.
     """
     _claim(folder, recipe)
     env = _environment(recipe)
@@ -121,7 +135,7 @@ def train(
     holdout = Holdout(_held_back(recipe), _exporter(recipe), folder, every=recipe.every, per_frame=env.n_seats)
 
     def tick(variables: dict[str, Any], _: dict[str, Any]) -> bool:
-        tell(variables["self"].num_timesteps // env.n_seats)
+        report_progress(variables["self"].num_timesteps // env.n_seats)
         return True
 
     steps = recipe.segment * env.n_seats
@@ -148,26 +162,26 @@ def _claim(folder: Path, recipe: Recipe) -> None:
 def _environment(recipe: Recipe) -> AdversaryVecEnv:
     return make_vec_env(
         recipe.worlds,
-        open_defender(recipe.defender),
+        defenders.make(recipe.defender),
         joint=recipe.joint,
         bank=open_bank(recipe.scenes, recipe.n_scenes),
-        **recipe.knobs,
+        **recipe.options,
     )
 
 
 @lru_cache(maxsize=4)
 def open_bank(scenes: str, n_scenes: int) -> SceneBank:
     """A bank of `n_scenes` of the scenes called so, under the detector that ships; the same one if asked again."""
-    return SceneBank(Some(scenes, n_scenes), load_detector())
+    return SceneBank(SceneSubset(scenes, n_scenes), load_detector())
 
 
 def _held_back(recipe: Recipe) -> Callable[[Policy], Episodes]:
     bank = open_bank(recipe.holdout, recipe.n_holdout)
-    protocol = Protocol(
+    conditions = Conditions(
         scenes=bank.source, names=bank.source.names(), frames=recipe.max_frames, n_vehicles=recipe.n_vehicles
     )
-    return lambda policy: play(policy, protocol, bank, defender=recipe.defender, k=recipe.n_attackers)
+    return lambda policy: play(policy, conditions, bank, defender=recipe.defender, k=recipe.n_attackers)
 
 
 def _exporter(recipe: Recipe) -> Callable[[OnPolicyAlgorithm], Policy]:
-    return lambda model: export(model, recipe.defender, recipe.knobs, joint=recipe.joint, seed=recipe.seed)
+    return lambda model: export(model, recipe.defender, recipe.options, joint=recipe.joint, seed=recipe.seed)

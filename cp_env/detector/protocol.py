@@ -1,4 +1,4 @@
-"""What a detector has to offer to be the victim: few methods, so that yours can take our own's place.
+"""The protocol of a detector under attack: few methods, so that yours can take the place of our own.
 
     class MyDetector(BaseDetector):                      # a torch module
         channels = 16
@@ -7,12 +7,12 @@
 
     env = cp_env.parallel_env(detector=MyDetector().freeze())
 
-The rest (`warp`, `coverage`, `detect`, `digest`) is inherited or written anew. Liars differentiate through `warp` and
+The rest (`warp`, `coverage`, `detect`, `digest`) is inherited or written anew. Attacks differentiate through `warp` and
 `perceive`; their objective, `adversarial.adversarial_loss`, speaks of `Dense` alone, whatever made it. So a detector
 with another kind of output (anchors, points) says for every cell what its best guess is, and keeps the rest of it, for
 `detect`, in a subclass of `Dense`. `cp_env.testing.check_detector` holds a detector to the rules.
 
-A detector that decodes with parts of the ego's own sweep which are never sent is a `KeepsSweep` too. Detectors that
+A detector that decodes with parts of the ego's own sweep which are never sent is a `UsesEgoSweep` too. Detectors that
 differ in `perceive` alone may share the cache of encoded scenes: they are `SharesMaps`.
 """
 
@@ -83,15 +83,15 @@ class DetectorLike(Protocol):
 
 
 @runtime_checkable
-class KeepsSweep(Protocol):
-    """A detector that perceives with what the ego keeps of its own sweep."""
+class UsesEgoSweep(Protocol):
+    """A detector that decodes with parts of the ego's own sweep (the ego context), which are never sent."""
 
-    def keep(self, sweeps: Sequence[Sweep]) -> Shaped[Tensor, "B ..."]:
-        """What an ego keeps of each sweep: small, for the cache holds it for every frame."""
+    def ego_context(self, sweeps: Sequence[Sweep]) -> Shaped[Tensor, "B ..."]:
+        """The ego context of each sweep: what its decoder needs. Small, for the cache holds it for every frame."""
         ...
 
-    def beside(self, kept: Shaped[Tensor, "E ..."]) -> DetectorLike:
-        """The same detector at the side of the egos of E worlds, who kept this."""
+    def with_ego_context(self, ego_context: Shaped[Tensor, "E ..."]) -> DetectorLike:
+        """The same detector bound to the ego context of E worlds."""
         ...
 
 
@@ -101,7 +101,7 @@ class SharesMaps(Protocol):
 
     @property
     def maps_digest(self) -> str:
-        """Changes whenever an answer of `encode`, `warp` or `keep` would, whatever `perceive` does."""
+        """Changes whenever an answer of `encode`, `warp` or `ego_context` would, whatever `perceive` does."""
         ...
 
 
@@ -110,9 +110,46 @@ def maps_digest(detector: DetectorLike) -> str:
     return detector.maps_digest if isinstance(detector, SharesMaps) else detector.digest
 
 
-def at_side(detector: DetectorLike, kept: Shaped[Tensor, "E ..."] | None) -> DetectorLike:
-    """The detector that perceives for egos who kept this; itself where nothing needs to be kept."""
-    if kept is None:
+def with_ego_context(detector: DetectorLike, ego_context: Shaped[Tensor, "E ..."] | None) -> DetectorLike:
+    """The detector bound to an ego context; the detector itself if there is none."""
+    if ego_context is None:
         return detector
-    assert isinstance(detector, KeepsSweep)
-    return detector.beside(kept)
+    assert isinstance(detector, UsesEgoSweep)
+    return detector.with_ego_context(ego_context)
+
+
+@runtime_checkable
+class LinearFusion(Protocol):
+    """A detector whose fusion may be linear in the maps: benign maps are then fused once for all perturbations."""
+
+    def linear_weights(
+        self, coverage: Float[Tensor, "E N H W"], world: Int[Tensor, " B"], groups: Bool[Tensor, "B N"]
+    ) -> Float[Tensor, "B N H W"] | None:
+        """The weight of every map in each cell of a group's fused map; None if the fusion is not linear."""
+        ...
+
+    def fuse(
+        self,
+        received: Float[Tensor, "E N C H W"],
+        coverage: Float[Tensor, "E N H W"],
+        world: Int[Tensor, " B"],
+        groups: Bool[Tensor, "B N"],
+    ) -> Float[Tensor, "B C H W"]:
+        """f_F: one fused map for each group."""
+        ...
+
+    def decode(self, fused: Float[Tensor, "B C H W"]) -> Dense:
+        """f_D: the decoder's output for each fused map."""
+        ...
+
+
+@runtime_checkable
+class HasFusion(Protocol):
+    """A detector that says how it fuses: what is calibrated on similarities depends on it."""
+
+    fusion: str
+
+
+def fusion_of(detector: DetectorLike, otherwise: str) -> str:
+    """The detector's fusion, if it names one."""
+    return detector.fusion if isinstance(detector, HasFusion) else otherwise

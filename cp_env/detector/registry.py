@@ -1,4 +1,4 @@
-"""Detectors by name."""
+"""The family of detectors. A new one enters `DETECTORS`."""
 
 from __future__ import annotations
 
@@ -7,10 +7,30 @@ from pathlib import Path
 import torch
 from torch import nn
 
+from cp_env.detector.model.base import BaseDetector
 from cp_env.detector.protocol import DetectorLike
+from defenders.registry import Registry, Spec
 
-DETECTORS = ("cp_env", "coperception")
-"""Names of detectors: our own with its shipped weights, and coperception's from a checkpoint."""
+
+def _own(*, fusion: str = "mean", weights: Path | None = None) -> DetectorLike:
+    from cp_env.detector.model.weights import load_detector, read_detector
+
+    return load_detector(fusion) if weights is None else read_detector(weights).freeze()
+
+
+def _coperception(*, checkpoint: Path, fusion: str = "mean") -> DetectorLike:
+    from cp_env.detector.coperception import load_checkpoint
+
+    return load_checkpoint(checkpoint, fusion=fusion)
+
+
+DETECTORS: Registry[DetectorLike] = Registry(
+    "detector",
+    {"cp_env": _own, "coperception": _coperception},
+    DetectorLike,
+    methods=(("encode", "warp", "coverage", "perceive", "detect"),),
+)
+"""Our own with its shipped weights, coperception's from a checkpoint, and `module:Class` for yours."""
 
 
 def open_detector(
@@ -20,29 +40,47 @@ def open_detector(
     checkpoint: str | Path | None = None,
     device: str = "cpu",
 ) -> DetectorLike:
-    """A detector by its name (with `fusion` and, for coperception's, `checkpoint`), or the object itself, on `device`.
+    """A detector by its name, or the object itself, on `device`.
+
+    Args:
+        detector: "cp_env" (or "cp_env:weights=FILE"), "coperception" (or "coperception:checkpoint=FILE"),
+            "module:Class" of yours with options or without, or an object.
+        fusion: the fusion of a detector that is named.
+        checkpoint: coperception's file; for `detector="coperception"` alone.
+        device: as torch spells it.
+
+    Returns:
+        The detector, frozen if it was opened by name.
 
     Raises:
-        ValueError: an unknown name; a checkpoint without coperception's detector, or the reverse; what
-            `load_detector` and `coperception.load_checkpoint` raise.
+        ValueError: an unknown name or option, a place that holds no detector (nothing of it is called then); a
+            checkpoint without coperception's detector, or the reverse; a device that is not there; what `load_detector`
+            and `coperception.load_checkpoint` raise.
     """
-    name = detector if isinstance(detector, str) else type(detector).__name__
-    if isinstance(detector, str) and detector not in DETECTORS:
-        raise ValueError(f"unknown detector {detector!r}: choose one of {', '.join(DETECTORS)}, or pass an object")
-    if (checkpoint is not None) != (name == "coperception"):
+    _check_device(device)
+    spec = Spec.parse(detector) if isinstance(detector, str) else None
+    name = type(detector).__name__ if spec is None else spec.name
+    given = checkpoint is not None or (spec is not None and "checkpoint" in spec.options)
+    if given != (name == "coperception") and (checkpoint is not None or name == "coperception"):
         raise ValueError(
             'detector="coperception" and its checkpoint="file" come together: '
             f"got detector={name!r} and checkpoint={checkpoint!r}"
         )
-    if not isinstance(detector, str):
-        return _on(device, detector)
-    if checkpoint is not None:
-        from cp_env.detector.coperception import load_checkpoint
+    if spec is None:
+        return _on(device, DETECTORS.make(detector))
+    options = {} if name not in DETECTORS.entries or "fusion" in spec.options else {"fusion": fusion}
+    made = DETECTORS.make(detector, **options, **({} if checkpoint is None else {"checkpoint": checkpoint}))
+    if spec.place is not None and isinstance(made, BaseDetector):
+        made.freeze()
+    return _on(device, made)
 
-        return load_checkpoint(checkpoint, fusion=fusion, device=device)
-    from cp_env.detector.model.weights import load_detector
 
-    return load_detector(fusion, device)
+def _check_device(device: str) -> None:
+    """ValueError for a device that torch does not know or that is not there."""
+    try:
+        torch.empty(0, device=device)
+    except (RuntimeError, AssertionError, NotImplementedError, TypeError) as error:
+        raise ValueError(f"device {device!r} cannot be used here ({error}); use 'cpu', or a device that is") from error
 
 
 def _on(device: str, detector: DetectorLike) -> DetectorLike:

@@ -1,42 +1,41 @@
-"""The game: worlds, action maps, observations and rewards put together, E worlds × S slots at a time.
+"""The batched environment: worlds, action maps, observations and rewards of E worlds × S slots.
 
 Every public environment (PettingZoo, gymnasium, vector, Stable-Baselines3) is a thin view of this one object.
 """
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
-from pathlib import Path
-from typing import Any
+from typing import Unpack
 
 import gymnasium
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-from cp_env.detector.protocol import DetectorLike
 from cp_env.envs.actions.registry import make_action
-from cp_env.envs.observation import Observation, Observer, Seats
+from cp_env.envs.observation import Observation, Observer, SlotAssignment
 from cp_env.envs.reward import make_reward
 from cp_env.rendering.camera import Camera
-from cp_env.settings import Settings
-from cp_env.types import SceneSource
+from cp_env.settings import Options
+from cp_env.world.reset import ResetOptions, Seed
 from cp_env.world.scene_cache import SceneBank
-from cp_env.world.situation import Outcome
+from cp_env.world.situation import FRAME_METRICS, Clock, Outcome
 from cp_env.world.world import World
 from defenders.protocol import Defender
 
 INFO_KEYS = (
     "vehicle",  # number of the vehicle the slot drives
-    "liar",  # 1 if its actions count
+    "malicious",  # 1 if the vehicle is an attacker: its actions count
     "excluded",  # 1 if the last verdict left it out of the fusion
-    "accused",  # 1 if the last verdict suspects it
+    "flagged",  # 1 if the last verdict names it a suspect
     "perturbation_norm",  # ‖δ‖ it sent
     "damage",  # 1 - Jaccard(output, clean), of the world
     "verifications",  # paid in this frame
     "similarity",  # Eq. (5) of everyone fused to the previous output
-    "suspects",  # how many are accused
+    "suspects",  # how many are flagged
     "collaborators",  # how many were fused
-    "converged",  # 1 if the defender is sure
+    "converged",  # 1 if the defender has converged
     "frame",  # since the episode began
     "failed",  # 1 if the defender raised: the episode is over
 )
@@ -55,27 +54,15 @@ class Game:
         num_envs: int,
         defender: str | Defender | Callable[[], Defender] = "prbi",
         *,
-        scenes: str | SceneSource = "town",
-        device: str = "cpu",
-        detector: str | DetectorLike = "cp_env",
-        checkpoint: str | Path | None = None,
         bank: SceneBank | None = None,
-        **knobs: Any,
+        clock: Clock = time.perf_counter,
+        **options: Unpack[Options],
     ) -> None:
-        settings = Settings(**knobs)
+        self.world = World(num_envs, defender=defender, bank=bank, clock=clock, **options)
+        self.settings, self.num_envs = self.world.settings, num_envs
+        settings = self.settings
         if settings.k == 0:
             raise ValueError("an environment needs at least one adversary: set n_attackers >= 1")
-        self.settings, self.num_envs = settings, num_envs
-        self.world = World(
-            num_envs,
-            defender=defender,
-            scenes=scenes,
-            device=device,
-            detector=detector,
-            checkpoint=checkpoint,
-            bank=bank,
-            settings=settings,
-        )
         shape = (self.world.detector.channels, self.world.detector.size)
         self._map = make_action(settings.action, *shape)
         self._observer = Observer(settings, *shape)
@@ -110,15 +97,15 @@ class Game:
 
     def reset(
         self,
-        seeds: Sequence[int | np.random.SeedSequence | None] | None = None,
+        seeds: Sequence[Seed] | None = None,
         worlds: Sequence[int] | None = None,
-        options: dict[str, Any] | None = None,
+        options: ResetOptions = None,
     ) -> tuple[Observation, Infos]:
         """Begin new episodes in `worlds` (all by default); returns observations and infos of all worlds."""
         worlds = list(range(self.num_envs) if worlds is None else worlds)
         self.world.reset(seeds, worlds, options)
         self._map.reset(worlds)
-        self._camera.forget(worlds)
+        self._camera.reset(worlds)
         self._fresh[worlds] = True
         return self._observe()
 
@@ -127,59 +114,67 @@ class Game:
     ) -> tuple[Observation, Float[np.ndarray, "E S"], Bool[np.ndarray, " E"], Infos]:
         """Play one frame: observations, team rewards, truncations (of worlds) and infos."""
         checked = self._map.checked(actions, (self.num_envs, len(self.slots)))
-        delta = self._map(self._liars_rows(checked), self.world.situation())
+        delta = self._map(self._attacker_rows(checked), self.world.situation())
         self.outcome = self.world.step(delta)
-        self._camera.watch(self.outcome)
+        self._camera.record(self.outcome)
         self._fresh[:] = False
         reward = np.repeat(self._reward(self.outcome)[:, None], len(self.slots), axis=1).astype(np.float32)
         observation, infos = self._observe()
         return observation, reward, self.outcome.truncated, infos
 
-    def state(self, world: int = 0) -> Float[np.ndarray, "N C H W"]:
-        """Every vehicle's encoded map, for centralised critics and joint attackers."""
-        episode, frame = self.world.places[world]
-        return episode.maps("features", frame).numpy()
+    @property
+    def state_space(self) -> gymnasium.spaces.Box:
+        """The space of `state`."""
+        return self._observer.state_space
+
+    def state(self, world: int = 0) -> Float[np.ndarray, "..."]:
+        """The central state of one world, for critics and joint attacks.
+
+        Args:
+            world: its number.
+
+        Returns:
+            Every vehicle's encoded map [N, C, H, W] in its own grid frame, or with `state="compact"` one vector whose
+            entries `cp_env.envs.observation.state_names` names.
+        """
+        return self._observer.state(self.world, world, self.outcome, self._fresh)
 
     def render(self, world: int = 0) -> UInt8[np.ndarray, "h w 3"]:
         """The picture of a world's last frame (see `cp_env.rendering.frame`)."""
-        return self._camera.shoot(world)
+        return self._camera.render(world)
 
-    def _seats(self) -> Seats:
+    def _slot_assignment(self) -> SlotAssignment:
         attackers = self.world.attackers
         if self.settings.slots == "adversaries":
-            return Seats(attackers, np.ones_like(attackers, dtype=bool))
+            return SlotAssignment(attackers, np.ones_like(attackers, dtype=bool))
         vehicle = np.tile(np.arange(self.settings.n_maps), (self.num_envs, 1))
-        return Seats(vehicle, (vehicle[..., None] == attackers[:, None]).any(-1))
+        return SlotAssignment(vehicle, (vehicle[..., None] == attackers[:, None]).any(-1))
 
-    def _liars_rows(self, actions: Float[np.ndarray, "E S *a"]) -> Float[np.ndarray, "E k *a"]:
-        """The liars' actions, in the order of `world.attackers`; those of honest vehicles do nothing."""
+    def _attacker_rows(self, actions: Float[np.ndarray, "E S *a"]) -> Float[np.ndarray, "E k *a"]:
+        """The attackers' actions, in the order of `world.attackers`; those of benign vehicles do nothing."""
         if self.settings.slots == "adversaries":
             return actions
-        return np.stack([rows[liars] for rows, liars in zip(actions, self.world.attackers, strict=True)])
+        return np.stack([rows[attackers] for rows, attackers in zip(actions, self.world.attackers, strict=True)])
 
     def _observe(self) -> tuple[Observation, Infos]:
-        seats = self._seats()
-        return self._observer(self.world, seats, self.outcome, self._fresh), self._infos(seats)
+        slots = self._slot_assignment()
+        return self._observer(self.world, slots, self.outcome, self._fresh), self._infos(slots)
 
-    def _infos(self, seats: Seats) -> Infos:
+    def _infos(self, slots: SlotAssignment) -> Infos:
         """Numbers only, constant keys, each [E, S]. In a world that was just reset the frame's figures are neutral."""
-        infos = {key: np.zeros(seats.vehicle.shape, dtype=np.float32) for key in INFO_KEYS}
-        infos["vehicle"][:] = seats.vehicle
-        infos["liar"][:] = seats.liar
+        infos = {key: np.zeros(slots.vehicle.shape, dtype=np.float32) for key in INFO_KEYS}
+        infos["vehicle"][:] = slots.vehicle
+        infos["malicious"][:] = slots.malicious
         infos["similarity"][:] = 1.0
         infos["collaborators"][:] = self.settings.n_maps
         if self.outcome is None:
             return infos
-        outcome = self.outcome
-        for e in np.flatnonzero(~self._fresh):
+        outcome, played = self.outcome, ~self._fresh
+        for key, metric in FRAME_METRICS.items():
+            infos[key][played] = metric(outcome)[played, None]
+        for e in np.flatnonzero(played):
             verdict = outcome.verdicts[e]
-            infos["excluded"][e] = [v not in verdict.collaborators for v in seats.vehicle[e]]
-            infos["accused"][e] = [v in verdict.suspects for v in seats.vehicle[e]]
-            infos["perturbation_norm"][e, seats.liar[e]] = outcome.perturbation_norm[e]
-            infos["suspects"][e] = len(verdict.suspects)
-            infos["collaborators"][e] = len(verdict.collaborators)
-            infos["converged"][e] = verdict.converged
-            infos["failed"][e] = outcome.errors[e] is not None
-            for key in ("damage", "verifications", "similarity", "frame"):
-                infos[key][e] = getattr(outcome, key)[e]
+            infos["excluded"][e] = [v not in verdict.collaborators for v in slots.vehicle[e]]
+            infos["flagged"][e] = [v in verdict.suspects for v in slots.vehicle[e]]
+            infos["perturbation_norm"][e, slots.malicious[e]] = outcome.perturbation_norm[e]
         return infos

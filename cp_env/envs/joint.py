@@ -1,4 +1,4 @@
-"""One joint adversary in place of many slots: slot arrays are laid end to end along their first axis.
+"""One joint adversary in place of many slots: slot arrays are concatenated along their first axis.
 
 A slot's (A,) becomes (S·A,), its (C, H, W) becomes (S·C, H, W); every array of a Dict likewise.
 """
@@ -11,11 +11,24 @@ import numpy as np
 from gymnasium import Space, spaces
 from numpy.typing import NDArray
 
+from cp_env.settings import Options
+
 Observation = NDArray[Any] | dict[str, NDArray[Any]]
 
 
+def joint_options(options: Options) -> Options:
+    """The options of a joint view: compact observations by default, slots for adversaries.
+
+    Raises:
+        ValueError: `slots` is given; one adversary drives all attackers here.
+    """
+    if "slots" in options:
+        raise ValueError("slots has no meaning where one joint adversary drives all attackers; leave it out")
+    return {"observation": "compact", **options, "slots": "adversaries"}
+
+
 def joint_space(space: Space[Any], n_slots: int) -> Space[Any]:
-    """The space of `n_slots` slots laid end to end; `space` is a Box of one axis or more, or a Dict of such."""
+    """The space of `n_slots` slots concatenated; `space` is a Box of one axis or more, or a Dict of such."""
     if isinstance(space, spaces.Dict):
         return spaces.Dict({key: joint_space(part, n_slots) for key, part in space.items()})
     assert isinstance(space, spaces.Box) and space.shape

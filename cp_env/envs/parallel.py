@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Unpack
 
 import numpy as np
 from gymnasium import Space
 from gymnasium.error import ResetNeeded
-from gymnasium.spaces import Box
 from jaxtyping import Float
 from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
 from cp_env.envs.core import Game
 from cp_env.envs.joint import Observation, world
-from cp_env.envs.observation import LARGEST
-from cp_env.envs.render_mixin import RENDER_FPS, RENDER_MODES, Pictured
+from cp_env.envs.render_mixin import RENDER_FPS, RENDER_MODES, RenderMixin
+from cp_env.settings import Options
+from cp_env.world.scene_cache import SceneBank
 from cp_env.world.verification import DefenderError
 from defenders.protocol import Defender
 
@@ -31,10 +31,10 @@ def raise_failure(game: Game) -> None:
         raise DefenderError(error)
 
 
-class CollaborativePerceptionEnv(Pictured, ParallelEnv[str, Observation, NDArray[Any]]):
+class CollaborativePerceptionEnv(RenderMixin, ParallelEnv[str, Observation, NDArray[Any]]):
     """Agents are slots: `agents` is `possible_agents` from reset to the last frame, and empty when the episode is over.
 
-    `cp_env.parallel_env` documents the knobs. `reset(options=...)` hands its options to `Game.reset`.
+    `cp_env.parallel_env` documents the options. `reset(options=...)` hands its options to `Game.reset`.
     """
 
     metadata: ClassVar[dict[str, Any]] = {
@@ -48,25 +48,24 @@ class CollaborativePerceptionEnv(Pictured, ParallelEnv[str, Observation, NDArray
         self,
         defender: str | Defender | Callable[[], Defender] = "prbi",
         *,
-        render_mode: str | None = None,
-        **knobs: Any,
+        bank: SceneBank | None = None,
+        **options: Unpack[Options],
     ) -> None:
-        self.show(Game(1, defender, **knobs), render_mode)
+        render_mode = options.pop("render_mode", None)
+        self.show(Game(1, defender, bank=bank, **options), render_mode)
         self.possible_agents: list[str] = list(self.game.slots)
         self.agents: list[str] = []
-        detector = self.game.world.detector
-        shape = (self.game.settings.n_maps, detector.channels, detector.size, detector.size)
-        self.state_space = Box(-LARGEST, LARGEST, shape, np.float32)
+        self.state_space = self.game.state_space
         names = self.possible_agents
         self._observation_spaces = {name: copy.deepcopy(self.game.single_observation_space) for name in names}
         self._action_spaces = {name: copy.deepcopy(self.game.single_action_space) for name in names}
 
     def observation_space(self, agent: str) -> Space[Any]:
-        """What this agent sees: always the same object. ValueError for an unknown name."""
+        """The observation space of an agent: always the same object. ValueError for an unknown name."""
         return self._observation_spaces[self._known(agent)]
 
     def action_space(self, agent: str) -> Space[Any]:
-        """What this agent may do, a Box in [-1, 1]: always the same object. ValueError for an unknown name."""
+        """The action space of an agent, a Box in [-1, 1]: always the same object. ValueError for an unknown name."""
         return self._action_spaces[self._known(agent)]
 
     def reset(
@@ -102,8 +101,8 @@ class CollaborativePerceptionEnv(Pictured, ParallelEnv[str, Observation, NDArray
             self._numbers(infos),
         )
 
-    def state(self) -> Float[np.ndarray, "N C H W"]:
-        """Every vehicle's encoded map in its own grid frame, for centralised critics and joint attackers."""
+    def state(self) -> Float[np.ndarray, "..."]:
+        """The central state, for critics: every vehicle's encoded map, or one vector (`state="compact"`)."""
         return self.game.state(0).copy()
 
     def _known(self, agent: str) -> str:

@@ -1,4 +1,4 @@
-"""What the PettingZoo and the gymnasium view share: one world, drawn as asked for."""
+"""Rendering of one world, shared by the PettingZoo and the gymnasium environment."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ def check_render_mode(mode: str | None) -> str | None:
     return mode
 
 
-class Pictured:
-    """An environment of one world, `game`, which can be seen."""
+class RenderMixin:
+    """Render methods of an environment of one world, `game`."""
 
     def show(self, game: Game, render_mode: str | None) -> None:
         """The game to draw, and how: None, "rgb_array" or "human". ValueError for another mode."""

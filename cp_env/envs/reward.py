@@ -1,4 +1,4 @@
-"""Rewards: small pure objects, shared by the team of liars. Each gives one number a world from the frame's outcome."""
+"""Rewards: small pure objects, shared by all attackers. Each gives one number a world from the frame's outcome."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ Reward = Callable[[Outcome], Float[np.ndarray, " E"]]
 
 
 def damage(outcome: Outcome) -> Float[np.ndarray, " E"]:
-    """1 - Jaccard between what the ego saw and what it would have seen unattacked, in [0, 1]."""
+    """Detection loss of the frame: 1 - Jaccard of the output and the unattacked view, in [0, 1]."""
     return outcome.damage
 
 
 def ap_drop(outcome: Outcome) -> Float[np.ndarray, " E"]:
-    """AP@0.5 of this frame that the output lost against the clean view, in [-1, 1]; negative where the lie helped."""
+    """AP@0.5 of this frame that the output lost against the clean view, in [-1, 1]; negative where it gained."""
     drops = [
         average_precision([clean.detections], [truth], 0.5) - average_precision([output.detections], [truth], 0.5)
         for clean, output, truth in zip(outcome.clean, outcome.output, outcome.truth, strict=True)
@@ -29,9 +29,9 @@ def ap_drop(outcome: Outcome) -> Float[np.ndarray, " E"]:
 
 
 def stealth(outcome: Outcome) -> Float[np.ndarray, " E"]:
-    """Damage while no alarm is raised: 0 in a frame in which anyone is suspected."""
-    quiet = np.array([not verdict.suspects for verdict in outcome.verdicts], dtype=np.float32)
-    return outcome.damage * quiet
+    """Damage while no alarm is raised: 0 in a frame with a suspect."""
+    unflagged = np.array([not verdict.suspects for verdict in outcome.verdicts], dtype=np.float32)
+    return outcome.damage * unflagged
 
 
 _REWARDS: dict[str, Reward] = {"damage": damage, "ap_drop": ap_drop, "stealth": stealth}

@@ -1,9 +1,9 @@
-"""The single-agent view (gymnasium `Env`): one joint adversary drives all the liars of one world."""
+"""The single-agent view (gymnasium `Env`): one joint adversary drives all attackers of one world."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 from gymnasium import Env
@@ -11,18 +11,20 @@ from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
 from cp_env.envs.core import Game
-from cp_env.envs.joint import Observation, join, joint_space, split, world
+from cp_env.envs.joint import Observation, join, joint_options, joint_space, split, world
 from cp_env.envs.parallel import raise_failure
-from cp_env.envs.render_mixin import RENDER_FPS, RENDER_MODES, Pictured
+from cp_env.envs.render_mixin import RENDER_FPS, RENDER_MODES, RenderMixin
+from cp_env.settings import Options
+from cp_env.world.scene_cache import SceneBank
 from defenders.protocol import Defender
 
 
-class JointAdversaryEnv(Pictured, Env[Any, NDArray[Any]]):
-    """One world, one adversary, who drives all its liars and is paid the mean of their rewards.
+class JointAdversaryEnv(RenderMixin, Env[Any, NDArray[Any]]):
+    """One world with one adversary, which drives all attackers. Its reward is the mean of theirs.
 
-    A liar's action and observation lie end to end along their first axis: actions (A,) of k liars make one (k·A,).
-    Knobs as in `cp_env.parallel_env`, without `slots`; `observation` is "compact", what RL libraries learn on, unless
-    said otherwise. An info holds one array of k numbers for every key.
+    The attackers' actions and observations are concatenated along their first axis: k actions (A,) make one (k·A,).
+    Options as in `cp_env.parallel_env`, without `slots`; `observation` is "compact" by default, what RL libraries learn
+    on. An info holds one array of k numbers for every key.
     """
 
     metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": RENDER_FPS}  # noqa: RUF012
@@ -31,11 +33,11 @@ class JointAdversaryEnv(Pictured, Env[Any, NDArray[Any]]):
         self,
         defender: str | Defender | Callable[[], Defender] = "prbi",
         *,
-        observation: Any = "compact",
-        render_mode: str | None = None,
-        **knobs: Any,
+        bank: SceneBank | None = None,
+        **options: Unpack[Options],
     ) -> None:
-        self.show(Game(1, defender, observation=observation, slots="adversaries", **knobs), render_mode)
+        render_mode = options.pop("render_mode", None)
+        self.show(Game(1, defender, bank=bank, **joint_options(options)), render_mode)
         self.n_slots = len(self.game.slots)
         self.observation_space = joint_space(self.game.single_observation_space, self.n_slots)
         self.action_space = joint_space(self.game.single_action_space, self.n_slots)

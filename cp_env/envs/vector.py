@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 from gymnasium.error import ResetNeeded
@@ -14,9 +14,11 @@ from jaxtyping import Bool
 from numpy.typing import NDArray
 
 from cp_env.envs.core import Game
-from cp_env.envs.joint import Observation, join, joint_space, split, world
+from cp_env.envs.joint import Observation, join, joint_options, joint_space, split, world
 from cp_env.envs.render_mixin import RENDER_FPS, RENDER_MODES, check_render_mode
 from cp_env.rendering.window import Window
+from cp_env.settings import Options
+from cp_env.world.scene_cache import SceneBank
 from defenders.protocol import Defender
 
 Infos = dict[str, Any]
@@ -24,14 +26,14 @@ MODES = (AutoresetMode.SAME_STEP, AutoresetMode.DISABLED)
 
 
 class JointAdversaryVectorEnv(VectorEnv[Any, NDArray[Any], NDArray[Any]]):
-    """`num_envs` worlds; in each, one adversary drives all the liars and is paid the mean of their rewards.
+    """`num_envs` worlds; in each, one adversary drives all attackers. Its reward is the mean of theirs.
 
-    A liar's action and observation lie end to end along their first axis: actions (A,) of k liars make one (k·A,).
-    Knobs as in `cp_env.parallel_env`, without `slots`.
+    The attackers' actions and observations are concatenated along their first axis: k actions (A,) make one (k·A,).
+    Options as in `cp_env.parallel_env`, without `slots`. `observation` is "compact" unless said otherwise, which is
+    what RL libraries learn on.
 
     Args:
         num_envs: E, worlds stepped together.
-        observation: as in `parallel_env`; "compact" is what RL libraries learn on.
         autoreset_mode: "SameStep": a world whose episode ends is reset within that step; the observation that ended it
             stands in `info["final_obs"]`, its infos in `info["final_info"]`. "Disabled": reset it yourself, with
             `reset(options={"reset_mask": mask})`, before the next step. (A lock-step batch gains nothing from
@@ -49,15 +51,14 @@ class JointAdversaryVectorEnv(VectorEnv[Any, NDArray[Any], NDArray[Any]]):
         num_envs: int,
         defender: str | Defender | Callable[[], Defender] = "prbi",
         *,
-        observation: Any = "compact",
-        render_mode: str | None = None,
+        bank: SceneBank | None = None,
         autoreset_mode: str | AutoresetMode = AutoresetMode.SAME_STEP,
-        **knobs: Any,
+        **options: Unpack[Options],
     ) -> None:
-        self.render_mode = check_render_mode(render_mode)
+        self.render_mode = check_render_mode(options.pop("render_mode", None))
         self.autoreset_mode = _supported(autoreset_mode)
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
-        self.game = Game(num_envs, defender, observation=observation, slots="adversaries", **knobs)
+        self.game = Game(num_envs, defender, bank=bank, **joint_options(options))
         self.num_envs = num_envs
         self.n_slots = len(self.game.slots)
         self.single_observation_space = joint_space(self.game.single_observation_space, self.n_slots)
@@ -167,7 +168,7 @@ class JointAdversaryVectorEnv(VectorEnv[Any, NDArray[Any], NDArray[Any]]):
 
 
 def _batched(infos: dict[str, NDArray[Any]], mask: Bool[np.ndarray, " E"]) -> Infos:
-    """Infos as gymnasium batches them: beside each key, `_key` says which worlds it tells of."""
+    """Infos as gymnasium batches them: for each key, `_key` says which worlds it is about."""
     batched: Infos = {}
     for key, values in infos.items():
         batched[key], batched[f"_{key}"] = values.copy(), mask.copy()

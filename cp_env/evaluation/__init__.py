@@ -1,46 +1,45 @@
-"""Defenders × attacks × liars on equal terms: the plan, the play, the figures, the report.
+"""Evaluation of defenders against attacks on equal terms: plan, execution, analysis, report.
 
-    protocol = Protocol(scenes="town/test", names=("…",), frames=100)
-    cells = plan(protocol, defenders=("none", "prbi"), attacks=("none", "pgd"), ks=(1, 2), seeds=(0,))
+    conditions = Conditions(scenes="town/test", names=("…",), frames=100)
+    runs = plan_runs(conditions, defenders=("none", "prbi"), attacks=("none", "pgd"), ks=(1, 2), seeds=(0,))
     store = Store("out")
-    for cell in run(cells, protocol, store, Crew(make_attacker=agents.make)): ...
-    rows = summarise(store.load(cells, protocol))
+    for run in execute(runs, conditions, store, Workers(make_attack=agents.make)): ...
+    rows = summarise(store.load(runs, conditions))
 
-An attacker comes from outside: this package knows what it does (`reset`, `act`), not where it is made.
+An attack comes from outside: this package knows its interface (`reset`, `act`), not where it is made.
 """
 
 from __future__ import annotations
 
-from cp_env.attack import Attacker, Learned
+from cp_env.attack import Attack, Learned
 from cp_env.evaluation.analysis.summary import Row, mean_ap, summarise
-from cp_env.evaluation.execution.rollout import Stage, play
-from cp_env.evaluation.execution.runner import FailedCells, prepare, run, run_all
-from cp_env.evaluation.execution.workers import Crew, open_bank
+from cp_env.evaluation.execution.rollout import Rollout, play
+from cp_env.evaluation.execution.runner import FailedRuns, execute, execute_all, prepare
+from cp_env.evaluation.execution.workers import Workers, open_bank
 from cp_env.evaluation.plan.records import Record, Store
-from cp_env.evaluation.plan.runs import Cell, Protocol, parse, plan
+from cp_env.evaluation.plan.runs import Conditions, Run, plan_runs
 from cp_env.evaluation.report.benchmark import about, markdown, screen, write_report
 
 __all__ = [
-    "Attacker",
-    "Cell",
-    "Crew",
-    "FailedCells",
+    "Attack",
+    "Conditions",
+    "FailedRuns",
     "Learned",
-    "Protocol",
     "Record",
+    "Rollout",
     "Row",
-    "Stage",
+    "Run",
     "Store",
+    "Workers",
     "about",
+    "execute",
+    "execute_all",
     "markdown",
     "mean_ap",
     "open_bank",
-    "parse",
-    "plan",
+    "plan_runs",
     "play",
     "prepare",
-    "run",
-    "run_all",
     "screen",
     "summarise",
     "write_report",

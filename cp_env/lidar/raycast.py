@@ -36,7 +36,7 @@ class Mount:
     x: float  # world frame; m
     y: float
     z: float
-    yaw: float = 0.0  # rad; azimuth 0 looks this way
+    yaw: float = 0.0  # rad; azimuth 0 points this way
     carrier: int = -1  # owner of the prisms it does not see
 
 

@@ -1,4 +1,4 @@
-"""Which vehicle a return came from, where a data set does not say: the box it lies in."""
+"""The vehicle that a return came from, where a data set does not say: the box it lies in."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def count_returns(
     return hits
 
 
-def handed_over(
+def to_world_axes(
     points: Float[np.ndarray, "P 3"],
     turn: Float[np.ndarray, "3 3"],
     shift: Float[np.ndarray, " 3"],
@@ -68,12 +68,12 @@ def handed_over(
     columns = turn.astype(points.dtype) @ points.T
     columns += shift.astype(points.dtype)[:, None]
     if own is not None:
-        columns = columns.compress(_beside(columns[:2], boxes[own, [0, 1, 3, 4, 6]], margin), axis=1)
+        columns = columns.compress(_outside(columns[:2], boxes[own, [0, 1, 3, 4, 6]], margin), axis=1)
     hits = count_returns(columns.T, boxes, margin)
     return np.stack(tuple(columns), axis=1), hits
 
 
-def _beside(
+def _outside(
     points: Float[np.ndarray, "2 P"], footprint: Float[np.ndarray, " 5"], margin: float
 ) -> Bool[np.ndarray, " P"]:
     """Which points do not lie over or under a footprint (x, y, length, width, yaw)."""
@@ -81,9 +81,9 @@ def _beside(
     x, y = points - place[:, None].astype(points.dtype)
     near = np.flatnonzero(np.maximum(np.abs(x), np.abs(y)) < np.hypot(*side) + _SLACK)
     x, y, cos, sin = x[near], y[near], np.cos(yaw), np.sin(yaw)
-    beside = np.ones(points.shape[1], dtype=np.bool_)
-    beside[near] = (np.abs(cos * x + sin * y) > side[0]) | (np.abs(cos * y - sin * x) > side[1])
-    return beside
+    outside = np.ones(points.shape[1], dtype=np.bool_)
+    outside[near] = (np.abs(cos * x + sin * y) > side[0]) | (np.abs(cos * y - sin * x) > side[1])
+    return outside
 
 
 def standing(scene: Scene, frame: int, place: Float[np.ndarray, " 2"]) -> Float[np.ndarray, "M 7"]:

@@ -34,7 +34,7 @@ class LidarSpec:
     """What a sensor can do.
 
     elevations: degrees above the horizon, one a beam.
-    azimuths: rays of a beam in one revolution; ray 0 looks along the heading, they turn counter-clockwise.
+    azimuths: rays of a beam in one revolution; ray 0 points along the heading, the others follow counter-clockwise.
     max_range: m, along the ray.
     range_noise: m, standard deviation along the ray (a sum of three uniform draws: never beyond three deviations).
     dropout: chance that a ray near the sensor returns nothing; rises with the square of the range by `far_dropout`.

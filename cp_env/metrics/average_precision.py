@@ -2,13 +2,13 @@
 
 Both protocols pool the detections of all frames, overlap is rotated IoU in bird's-eye view, the truth is whatever is
 handed in, seen or hidden, and AP is the area under the interpolated precision-recall curve at all points. In each frame
-and at each IoU threshold by itself, detections choose a truth, best score first; who gets one whose IoU is at least the
-threshold is a true positive, who gets none a false one.
+and at each IoU threshold by itself, detections choose a truth, best score first; a detection that
+gets one with an IoU of at least the threshold is a true positive, one that gets none is a false positive.
 
     strict        (the default) every frame and every detection counts: truth in a frame without detections is missed,
                   detections in a frame without truth are false. A detection takes the truth it overlaps most among
                   those not yet taken.
-    coperception  as the public coperception code counts, for figures that are set beside those published with it: only
+    coperception  as the public coperception code counts, for figures that are compared with those published: only
                   detections with a score above 0.7, after non-maximum suppression at IoU 0.01; a frame without any of
                   them, or without truth, is dropped (what was missed there never counts); a detection whose best truth
                   is taken is false, though another might be free. If every frame was dropped, AP is 0.

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Collection
 
 
-def id_rate(suspects: Collection[int], liars: Collection[int]) -> float:
-    """Share of the liars that are accused; 1 if nobody lies."""
-    return len(set(suspects) & set(liars)) / len(set(liars)) if liars else 1.0
+def id_rate(suspects: Collection[int], attackers: Collection[int]) -> float:
+    """ID rate (true positive rate): share of the attackers that are flagged; 1 if there is none."""
+    return len(set(suspects) & set(attackers)) / len(set(attackers)) if attackers else 1.0
 
 
-def mc_rate(suspects: Collection[int], liars: Collection[int], n: int) -> float:
-    """Share of the benign among vehicles 0 … n-1 that are accused; 0 if nobody is benign."""
-    benign = set(range(n)) - set(liars)
+def mc_rate(suspects: Collection[int], attackers: Collection[int], n: int) -> float:
+    """MC rate (false positive rate): share of the benign of vehicles 0 … n-1 that are flagged; 0 if none is benign."""
+    benign = set(range(n)) - set(attackers)
     return len(set(suspects) & benign) / len(benign) if benign else 0.0
 
 

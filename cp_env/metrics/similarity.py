@@ -1,4 +1,4 @@
-"""How alike two views are: by their boxes (PRBI, Eq. 5) and by their score maps (PASAC).
+"""Similarity of two views: of their boxes (PRBI, Eq. 5) and of their score maps (PASAC).
 
 Convention: a view's boxes and map lie in the ego's grid frame of its own moment. Grid frames share the world's axes, so
 the ego's motion is a translation: the older view is moved by `older.origin - newer.origin`. Two views are compared on
@@ -41,7 +41,7 @@ def jaccard(a: ArrayLike, b: ArrayLike, iou: float = 0.5) -> float:
 def jaccard_many(a: Sequence[ArrayLike], b: Sequence[ArrayLike], iou: float = 0.5) -> Float[np.ndarray, " V"]:
     """|M| / (|a| + |b| - |M|) of the boxes `a[v]` [A_v, 5] and `b[v]` [B_v, 5], PRBI Eq. (5), for all v in one go.
 
-    M are the pairs of `match`. Two empty sets are alike (1); an empty one and another are not (0).
+    M are the pairs of `match`. Two empty sets have similarity 1; an empty one and another have 0.
     """
     view, _, _ = _matched(a, b, iou)
     pairs = np.bincount(view, minlength=len(a))

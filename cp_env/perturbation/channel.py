@@ -1,4 +1,4 @@
-"""The channel: where agents act, and the only place. F_i + δ_i with ‖δ_i‖ ≤ Δ, before the warp (PRBI Eq. 1)."""
+"""The channel: the only place where attackers act. F_i + δ_i with ‖δ_i‖ ≤ Δ, before the warp (PRBI Eq. 1)."""
 
 from __future__ import annotations
 
@@ -20,7 +20,13 @@ def norm_of(delta: Float[Tensor, "*n C H W"], norm: str) -> Float[Tensor, "*n"]:
 def project(delta: Float[Tensor, "*n C H W"], budget: float | Tensor, norm: str) -> Float[Tensor, "*n C H W"]:
     """The nearest perturbation with ‖δ‖ ≤ Δ: clipped ("linf") or shortened ("l2").
 
-    `budget` is one Δ for all maps, or a tensor that broadcasts against them.
+    Args:
+        delta: perturbations of the maps.
+        budget: one Δ for all maps, or a tensor that broadcasts against them.
+        norm: "linf" or "l2".
+
+    Returns:
+        The projected perturbations.
     """
     if norm == "linf":
         return delta.clamp(-budget, budget)  # type: ignore[arg-type]  # the stub wants both of one kind
@@ -31,7 +37,7 @@ def project(delta: Float[Tensor, "*n C H W"], budget: float | Tensor, norm: str)
 def inject(
     received: Float[Tensor, "E N C H W"], warped: Float[Tensor, "E k C H W"], attackers: Int[Tensor, "E k"]
 ) -> Float[Tensor, "E N C H W"]:
-    """What the ego holds once the liars' warped perturbations are added to their rows; differentiable in `warped`."""
+    """The received maps with the attackers' warped perturbations added to their rows; differentiable in `warped`."""
     worlds, maps = received.shape[:2]
     rows = torch.arange(worlds, device=attackers.device)[:, None] * maps + attackers
     return received.flatten(0, 1).index_add(0, rows.flatten(), warped.flatten(0, 1)).unflatten(0, (worlds, maps))

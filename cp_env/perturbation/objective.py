@@ -1,8 +1,8 @@
-"""What liars maximise: our reading of L_det in the paper's attack, max over δ of Σ L_det(d, d'), PRBI Eq. (2).
+"""The adversarial objective: our reading of L_det in the paper's attack, max over δ of Σ L_det(d, d'), PRBI Eq. (2).
 
-The paper is silent on L_det and on d'. The attack here is untargeted: d is the decoder's own clean output (a liar knows
-no ground truth), and the loss is a sum of three, each divided by the number of vehicles the ego would have seen, each
-zero when nothing changed:
+The paper is silent on L_det and on d'. The attack here is untargeted: d is the decoder's own clean output (an attacker
+knows no ground truth). The loss is a sum of three parts. Each is divided by the number of vehicles the ego would have
+seen, and is zero when nothing changed:
 
     hide   logits fall on object cells, the cells in which the clean output sees a vehicle;
     spoof  logits rise elsewhere, softly counted once for every block of the size of a car, so that the many easy
@@ -24,8 +24,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from cp_env.detector.model.decoder import Dense
-from cp_env.detector.model.detector import Detector
-from cp_env.detector.protocol import DetectorLike
+from cp_env.detector.protocol import DetectorLike, LinearFusion
 from cp_env.perturbation.channel import inject
 
 OBJECT_PROBABILITY = 0.2
@@ -42,7 +41,7 @@ REACH = 2.0
 
 STILL = 1e-4
 """Drift of a box component below which it has not moved. An unperturbed view differs from the clean one by rounding
-only, and a lie that starts there would be pulled wherever the rounding points, which depends on the batch."""
+only, and a perturbation that starts there would be pulled wherever the rounding points, which depends on the batch."""
 
 Weight = float | Float[Tensor, " B"]
 
@@ -61,8 +60,16 @@ def adversarial_loss(
 ) -> Float[Tensor, " B"]:
     """How far `dense` lies from `clean`, for each view; differentiable in `dense`, constant in `clean`.
 
-    `hide`, `spoof` and `drift` weigh the three parts, one number or one per view. A negative weight reverses a part.
-    `where` weighs the cells of the score map, non-negative; by default all count alike.
+    Args:
+        dense: the attacked output.
+        clean: the output it is compared with.
+        hide: weight of hidden objects, one number or one per view; a negative one reverses the part.
+        spoof: weight of ghosts, likewise.
+        drift: weight of moved boxes, likewise.
+        where: weights of the score map's cells, non-negative; equal by default.
+
+    Returns:
+        The loss of each view.
     """
     return distance_from(clean, hide=hide, spoof=spoof, drift=drift, where=where)(dense)
 
@@ -75,7 +82,7 @@ def distance_from(
     count = objects.sum((-2, -1)).clamp(min=1.0)
     taken = _near(objects)
     weights = objects if where is None else objects * where
-    view, row, column = weights.nonzero(as_tuple=True)  # few: the boxes of all other cells need not be looked at
+    view, row, column = weights.nonzero(as_tuple=True)  # few: the boxes of all other cells are not needed
     conceal, displace = (weights[view, row, column] * _of_each(w, count)[view] for w in (hide, drift))
     shown, box = _capped(-clean.logits.detach()[view, row, column]), clean.boxes.detach()[view, :, row, column]
     ghosts = _ghosts(clean.logits.detach(), taken, where)
@@ -96,36 +103,47 @@ def object_cells(clean: Dense) -> Float[Tensor, "B h w"]:
     return probability * (probability >= OBJECT_PROBABILITY)
 
 
-def lies(
+def attacked_output(
     detector: DetectorLike,
     received: Float[Tensor, "E N C H W"],
     coverage: Float[Tensor, "E N H W"],
-    liars: Int[Tensor, "E k"],
-    ego_T_liar: Float[Tensor, "E k 3"],
+    attackers: Int[Tensor, "E k"],
+    ego_T_attacker: Float[Tensor, "E k 3"],
     world: Int[Tensor, " B"],
     groups: Bool[Tensor, "B N"],
 ) -> Callable[[Float[Tensor, "E k C H W"]], Dense]:
-    """What the ego of world `world[b]` perceives of group `groups[b]` as a function of the liars' δ, Eq. (1).
+    """The ego's output as a function of the attackers' δ, Eq. (1): of group `groups[b]` in world `world[b]`.
 
-    A mean of maps is linear in δ, so what the others sent is fused once and not at every call.
+    Where the fusion is linear in the maps, the unperturbed ones are fused once and not at every call.
+
+    Args:
+        detector: the victim.
+        received: all maps in the ego's frame, unperturbed.
+        coverage: the cells that each map covers.
+        attackers: numbers of the malicious vehicles of each world.
+        ego_T_attacker: their poses in the ego's frame; m, m, rad.
+        world: the world of each view.
+        groups: the vehicles fused in each view.
+
+    Returns:
+        A function from δ, in the attackers' own frames, to the decoder's output; differentiable.
     """
-    if not isinstance(detector, Detector) or detector.fusion != "mean":
+    weights = detector.linear_weights(coverage, world, groups) if isinstance(detector, LinearFusion) else None
+    if weights is None or not isinstance(detector, LinearFusion):
 
         def general(delta: Float[Tensor, "E k C H W"]) -> Dense:
-            attacked = inject(received, detector.warp(delta, ego_T_liar), liars)
+            attacked = inject(received, detector.warp(delta, ego_T_attacker), attackers)
             return detector.perceive(attacked, coverage, world, groups)
 
         return general
 
-    honest = detector.fuse(received, coverage, world, groups)
-    members = coverage[world] * groups[..., None, None]
-    share = torch.take_along_dim(members, liars[world][..., None, None], 1)
-    share = (share / members.sum(1, keepdim=True).clamp(min=1))[:, :, None]
+    benign = detector.fuse(received, coverage, world, groups)
+    share = torch.take_along_dim(weights, attackers[world][..., None, None], 1)[:, :, None]
     one_each = torch.equal(world, torch.arange(len(received), device=world.device))
 
     def linear(delta: Float[Tensor, "E k C H W"]) -> Dense:
-        warped = detector.warp(delta, ego_T_liar)
-        return detector.decode(honest + ((warped if one_each else warped[world]) * share).sum(1))
+        warped = detector.warp(delta, ego_T_attacker)
+        return detector.decode(benign + ((warped if one_each else warped[world]) * share).sum(1))
 
     return linear
 
@@ -136,7 +154,7 @@ def _of_each(weight: Weight, like: Float[Tensor, " B"]) -> Float[Tensor, " B"]:
 
 
 def _capped(logits: Float[Tensor, "..."]) -> Float[Tensor, "..."]:
-    """Logits in the liar's favour, up to the margin."""
+    """Logits in the attacker's favour, up to the margin."""
     return logits.clamp(max=MARGIN)
 
 

@@ -1,4 +1,4 @@
-"""From a world to the picture of its last frame."""
+"""Pictures of a world's last frame."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from cp_env.geometry.planar import grid_origin
 from cp_env.rendering.frame import Image3, Picture, draw
 from cp_env.world.situation import Outcome
 from cp_env.world.world import World
-from defenders import REGISTRY, Defender
+from defenders import DEFENDERS, Defender, HasThreshold
 
 
 class Camera:
-    """Pictures of a world's frames. It must `watch` every outcome: the strip of similarities is its memory.
+    """Pictures of a world's frames. It must `record` every outcome: it keeps the similarities of the episode.
 
-    Sweeps are asked of the scene source again when a picture is taken, so watching costs nothing.
+    Sweeps are read from the scene source again when a picture is rendered, so recording costs nothing.
     """
 
     def __init__(self, world: World) -> None:
@@ -25,27 +25,27 @@ class Camera:
         self._outcome: Outcome | None = None
         self._similarity: list[list[float]] = [[] for _ in range(world.num_envs)]
 
-    def watch(self, outcome: Outcome) -> None:
-        """Remember the frame just played."""
+    def record(self, outcome: Outcome) -> None:
+        """Keep the outcome of the frame just played."""
         self._outcome = outcome
         for past, frame, value in zip(self._similarity, outcome.frame, outcome.similarity, strict=True):
             past += [float("nan") if frame == 0 else float(value)]
 
-    def forget(self, worlds: Sequence[int]) -> None:
-        """New episodes begin in `worlds`."""
+    def reset(self, worlds: Sequence[int]) -> None:
+        """Discard the similarities of `worlds`, where new episodes begin."""
         for e in worlds:
             self._similarity[e] = []
 
-    def shoot(self, world: int = 0) -> Image3:
-        """The last frame of world `world`; the honest first look if none was played since its reset."""
+    def render(self, world: int = 0) -> Image3:
+        """The last frame of world `world`; the unattacked first frame if none was played since its reset."""
         return draw(self.picture(world))
 
     def picture(self, e: int) -> Picture:
-        """What `shoot` draws."""
+        """The `Picture` that `render` draws."""
         world, settings = self._world, self._world.settings
         everyone = frozenset(range(settings.n_maps))
         episode, frame = world.places[e]
-        liars = frozenset(int(i) for i in world.attackers[e])
+        attackers = frozenset(int(i) for i in world.attackers[e])
         outcome = self._outcome if self._similarity[e] else None
         if outcome is not None and not outcome.truncated[e]:
             frame -= 1  # the world has moved on already
@@ -60,14 +60,14 @@ class Camera:
             truth=episode.truth[frame],
             seen=view.seen,
             output=output.seen,
-            liars=liars,
+            attackers=attackers,
             suspects=frozenset() if verdict is None else verdict.suspects,
             collaborators=everyone if verdict is None else verdict.collaborators,
             similarity=tuple(self._similarity[e]),
             verifications=0 if outcome is None else int(outcome.verifications[e]),
             damage=0.0 if outcome is None else float(outcome.damage[e]),
             title=episode.scene.name,
-            defence=f"defended by {_name(world.defenders[e])}",
+            defence=f"defended by {DEFENDERS.name_of(world.defenders[e])}",
             threshold=_alarm(world.defenders[e], everyone),
             horizon=settings.max_frames,
             extent=world.detector.extent,
@@ -84,13 +84,9 @@ class Camera:
         return points, places
 
 
-def _name(defender: Defender) -> str:
-    """The name it goes by in `defenders.make`, else its class's."""
-    return next((name for name, made in REGISTRY.items() if made is type(defender)), type(defender).__name__)
-
-
 def _alarm(defender: Defender, everyone: frozenset[int]) -> float | None:
-    """The similarity below which the defender looks closer, if it has such a threshold."""
-    epsilon = getattr(defender, "epsilon", None)
-    value = epsilon(everyone) if callable(epsilon) else epsilon
-    return None if value is None else float(value)
+    """The similarity below which the defender verifies, if it has such a threshold."""
+    if not isinstance(defender, HasThreshold):
+        return None
+    epsilon = defender.epsilon
+    return float(epsilon(everyone) if callable(epsilon) else epsilon)

@@ -1,4 +1,4 @@
-"""The picture of one frame: what everyone's maps would have shown, beside what the defended ego saw.
+"""The picture of one frame: the view of everyone fused next to the output of the defended ego.
 
 `Picture` holds everything that is drawn, in the ego's grid frame; `draw` is a pure function of it. Only Pillow and
 NumPy are used, and no font file: a frame takes some ten milliseconds.
@@ -7,7 +7,7 @@ Each colour means one thing, the same in both panels:
     grey, white     LiDAR points of the others, of the ego (the ground's are darker)
     green, blue     a true vehicle that was found, and the box the ego saw there
     yellow, magenta a true vehicle that was missed, and a box where there is none (a ghost)
-    red, orange     who lies, and whom the defender suspects
+    red, orange     attackers, and vehicles that the defender suspects
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ Image3 = UInt8[np.ndarray, "H W 3"]
 GROUND, GRID, FRAME, INK, FAINT = (13, 16, 22), (30, 36, 46), (66, 74, 88), (230, 234, 240), (140, 149, 163)
 STREET, OTHERS, EGO = (40, 47, 59), (112, 122, 138), (214, 220, 230)
 TRUE, SEEN, MISSED, GHOST = (58, 190, 98), (70, 150, 255), (247, 221, 72), (238, 82, 214)
-LIAR, SUSPECT = (240, 52, 52), (255, 140, 26)
+ATTACKER, SUSPECT = (240, 52, 52), (255, 140, 26)
 
 SIDE = 400  # pixels of a panel's edge
 LEFT, RIGHT, TOP = 38, 464, 82  # of the two panels; their top
@@ -43,7 +43,7 @@ FOUND_AT = 0.5  # IoU at which a box counts as seen
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """What is to be seen of one frame. Positions and boxes are in the ego's grid frame; m, rad."""
+    """The content of one frame's picture. Positions and boxes are in the ego's grid frame; m, rad."""
 
     frame: int
     points: Sequence[Float[np.ndarray, "_ 3"]]  # one sweep a map, the ego's first, all moved into the ego's frame
@@ -51,7 +51,7 @@ class Picture:
     truth: Float[np.ndarray, "L 5"]
     seen: Detections  # everyone fused
     output: Detections  # what the ego acts on
-    liars: frozenset[int]
+    attackers: frozenset[int]
     suspects: frozenset[int]
     collaborators: frozenset[int]  # fused for the output
     similarity: Sequence[float]  # of every frame so far, this one last; NaN where there was none
@@ -105,8 +105,8 @@ def _pixels(x: Float[np.ndarray, "*n"], y: Float[np.ndarray, "*n"], extent: floa
 
 
 def _with_points(picture: Picture) -> Image3:
-    """The empty sheet with the LiDAR points of both panels: ground returns faintest, the ego's brightest and on top."""
-    canvas = _sheet(picture.extent).copy()
+    """The background with the LiDAR points of both panels: ground returns faintest, the ego's brightest and on top."""
+    canvas = _background(picture.extent).copy()
     points = np.concatenate([np.empty((0, 3)), *reversed(picture.points)])
     mine = np.arange(len(points)) >= len(points) - (len(picture.points[0]) if picture.points else 0)
     cells = _pixels(points[:, 0], points[:, 1], picture.extent).astype(int)
@@ -136,7 +136,7 @@ def _panel(
     for row, outline in enumerate(_outlines(picture.truth, picture.extent)):
         _box(pen, outline, MISSED if row in missed else TRUE, 2 if row in missed else 1, row in missed)
     for number, (x, y, outward) in enumerate(_markers(picture)):
-        _marker(pen, x, y, outward, str(number), number in fused, number in picture.liars, number in suspects)
+        _marker(pen, x, y, outward, str(number), number in fused, number in picture.attackers, number in suspects)
     image.paste(panel, (left, TOP))
     pen = ImageDraw.Draw(image)
     counts = f"found {len(picture.truth) - len(missed)}   missed {len(missed)}   ghosts {len(ghosts)}"
@@ -159,7 +159,7 @@ def _outlines(boxes: Float[np.ndarray, "L 5"], extent: float) -> list[list[tuple
 
 
 def _markers(picture: Picture) -> list[tuple[float, float, tuple[float, float]]]:
-    """Where each vehicle's marker goes, and which way it lies when it is out of the picture (else (0, 0))."""
+    """The position of each vehicle's marker, and its direction if it is out of the picture (else (0, 0))."""
     places = _pixels(picture.places[:, 0], picture.places[:, 1], picture.extent)
     held = places.clip(14, SIDE - 15)
     outward = np.sign(places - held) * (np.abs(places - held) > 14)
@@ -179,15 +179,15 @@ def _marker(
     outward: tuple[float, float],
     text: str,
     fused: bool,
-    liar: bool,
+    attacker: bool,
     suspect: bool,
 ) -> None:
-    """A numbered disc: filled if the vehicle's map is fused, ringed red if it lies, crossed if it is suspected."""
+    """A numbered disc: filled if the vehicle's map is fused, ringed red if malicious, crossed if suspected."""
     if any(outward):
         u, v = np.array(outward) / np.linalg.norm(outward)
         pen.polygon([(x + 14 * u, y + 14 * v), (x - 8 * v, y + 8 * u), (x + 8 * v, y - 8 * u)], fill=FAINT)
-    if liar:
-        pen.ellipse((x - 12, y - 12, x + 12, y + 12), fill=LIAR)
+    if attacker:
+        pen.ellipse((x - 12, y - 12, x + 12, y + 12), fill=ATTACKER)
     if suspect:
         for sign in (-1, 1):
             pen.line((x - 13, y - 13 * sign, x + 13, y + 13 * sign), SUSPECT, 4)
@@ -203,7 +203,7 @@ def _header(pen: ImageDraw.ImageDraw, picture: Picture) -> None:
         "similarity –" if np.isnan(now) else f"similarity {now:.2f}",
         f"{picture.verifications} verification{'' if picture.verifications == 1 else 's'}",
         f"damage {picture.damage:.2f}",
-        f"liars {_names(picture.liars)}",
+        f"attackers {_names(picture.attackers)}",
         f"suspects {_names(picture.suspects)}",
     ]
     pen.text((LEFT, 47), "    ".join(facts), FAINT, _font(13), anchor="ls")
@@ -241,7 +241,7 @@ def _strip(pen: ImageDraw.ImageDraw, picture: Picture) -> None:
 @lru_cache(maxsize=1)
 def _palette() -> Image.Image:
     """Every colour that is drawn, and steps between ground and text for its soft edges."""
-    colours = [GRID, FRAME, STREET, OTHERS, EGO, TRUE, SEEN, MISSED, GHOST, LIAR, SUSPECT]
+    colours = [GRID, FRAME, STREET, OTHERS, EGO, TRUE, SEEN, MISSED, GHOST, ATTACKER, SUSPECT]
     colours += [_shade(MISSED, 4), _shade(GHOST, 4)]
     steps = np.linspace(0, 1, 9)[:, None]
     for bright in (INK, FAINT):
@@ -263,7 +263,7 @@ def _font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
 
 
 @lru_cache(maxsize=4)
-def _sheet(extent: float) -> Image3:
+def _background(extent: float) -> Image3:
     """Grid, axes, legend and the strip's frame: drawn once."""
     image = Image.new("RGB", SIZE, GROUND)
     pen = ImageDraw.Draw(image)
@@ -296,7 +296,7 @@ def _legend(pen: ImageDraw.ImageDraw) -> None:
         for dx, dy in ((2, -3), (4, -2), (7, -2), (9, 0), (12, 0), (15, 1), (17, 3), (20, 3)):
             pen.point((x + dx, y + dy), colour)
         pen.text((x + 32, y), name, FAINT, _font(12), anchor="lm")
-    vehicles = (("fused", True, False, False), ("liar", True, True, False), ("suspect", False, False, True))
+    vehicles = (("fused", True, False, False), ("attacker", True, True, False), ("suspect", False, False, True))
     for y, (name, *flags) in zip(rows, vehicles, strict=True):
         _marker(pen, LEFT + 284, y, (0.0, 0.0), "", *flags)
         pen.text((LEFT + 306, y), name, FAINT, _font(12), anchor="lm")

@@ -1,4 +1,4 @@
-"""A window that follows an episode. Without a display it draws into memory and shows nothing."""
+"""A window that shows an episode. Without a display it draws into memory."""
 
 from __future__ import annotations
 

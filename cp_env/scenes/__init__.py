@@ -1,14 +1,17 @@
-"""Where scenes come from. A source is named by a string at the outer door; objects are accepted everywhere."""
+"""Sources of scenes. A source is opened by its name, a string; objects are accepted everywhere."""
 
 from __future__ import annotations
 
+import sys
 from importlib import import_module
+from importlib.util import find_spec
 
-from cp_env.scenes.spec import Spec
+from cp_env.scenes.spec import PathSpec
 from cp_env.scenes.town import KINDS, SPLITS, Town
 from cp_env.types import SceneSource
+from defenders.registry import Registry, Spec, unknown
 
-__all__ = ["KINDS", "SOURCES", "SPLITS", "Town", "open_source"]
+__all__ = ["KINDS", "SCENES", "SOURCES", "SPLITS", "Town", "open_source"]
 
 SOURCES = {
     "v2x-sim": "cp_env.scenes.v2xsim.source:V2XSim",
@@ -18,33 +21,52 @@ SOURCES = {
 }
 """Sources with a path: kind to `module:class`, imported when first opened. The class takes the path, then keywords."""
 
+SCENES: Registry[SceneSource] = Registry(
+    "source of scenes", {"town": Town}, SceneSource, methods=(("names", "load", "sweeps"),)
+)
+"""Sources without a path, and `module:Class` for yours."""
+
 
 def open_source(spec: str | SceneSource) -> SceneSource:
     """The source that `spec` names; a source itself is handed back.
 
     Args:
         spec: "town" (its training split), "town/train", "town/calibration", "town/test"; a kind of `SOURCES`, a path
-            and options, such as "v2x-sim:/data/V2X-Sim-2.0?split=test&scenes=5,8"; or an object.
+            and options, such as "v2x-sim:/data/V2X-Sim-2.0?split=test&scenes=5,8"; "module:Class" of yours, with
+            options as "module:Class:option=value"; or an object.
+
+    Returns:
+        The source.
 
     Raises:
-        ValueError: unknown name, kind or option, an object that is no source, or a broken data set.
+        ValueError: unknown name, kind or option (with the nearest known one), an object that is no source, or a broken
+            data set.
     """
     if not isinstance(spec, str):
         if not isinstance(spec, SceneSource):
             raise ValueError(
-                f"scenes must be a name or a SceneSource (name, digest, names, load, sweeps); got {spec!r}"
+                f"scenes must be a name or a SceneSource (name, digest, names, load, sweeps); got {spec!r:.80}"
             )
         return spec
     if spec.partition(":")[0] in SOURCES:
-        return _open(Spec.parse(spec))
+        return _open(PathSpec.parse(spec))
     family, _, split = spec.partition("/")
-    if family != "town" or (split or "train") not in SPLITS:
-        known = ", ".join(["town", *(f"town/{name}" for name in SPLITS), *(f"{kind}:PATH" for kind in SOURCES)])
-        raise ValueError(f"unknown scenes {spec!r}; known: {known}")
-    return Town(split or "train")
+    if family == "town" and split in SPLITS:
+        return Town(split)
+    name = Spec.parse(spec)
+    if name.name not in SCENES.entries and (name.place is None or not _is_module(name.place[0])):
+        known = ["town", *(f"town/{split}" for split in SPLITS), *(f"{kind}:PATH" for kind in SOURCES), "module:Class"]
+        where = f" (there is no module {name.place[0]!r})" if name.place else ""
+        raise ValueError(f"{unknown('scenes', spec, known)}{where}")
+    return SCENES.make(spec)
 
 
-def _open(spec: Spec) -> SceneSource:
+def _is_module(name: str) -> bool:
+    """Whether the package that the name begins with can be found; nothing is imported."""
+    return name in sys.modules or find_spec(name.partition(".")[0] or " ") is not None
+
+
+def _open(spec: PathSpec) -> SceneSource:
     module, _, attribute = SOURCES[spec.kind].partition(":")
     source: SceneSource = spec.open(getattr(import_module(module), attribute))
     return source

@@ -1,4 +1,4 @@
-"""The beginning of every scene of a source: for a quick look, a miniature, a test."""
+"""The beginning of every scene of a source: for previews, miniatures and tests."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Broken data is named, never swallowed: what is wrong with which file, and what was left out because of it."""
+"""Errors of broken data: the file, the reason, and the scenes left out because of it."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def sift(
 ) -> tuple[tuple[str, ...], tuple[LeftOut, ...]]:
     """The scenes for which `check(name)` raises no `BrokenData`, and those left out because it does.
 
-    Each scene left out is told on the screen. The unit is the scene: frames must follow each other at one rate.
+    Each scene left out is printed. The unit is the scene: frames must follow each other at one rate.
 
     Raises:
         BrokenData: the first one met, unless `skip_broken`.

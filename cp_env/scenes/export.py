@@ -25,7 +25,7 @@ def export(
     frames: int | None = None,
     vehicles: int | None = None,
 ) -> Path:
-    """Write scenes of `source` into the folder `out`, which must be new or empty; hands it back.
+    """Write scenes of `source` into the folder `out`, which must be new or empty; returns it.
 
     Args:
         layout: "v2x-sim" or "opv2v".

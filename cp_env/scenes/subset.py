@@ -1,4 +1,4 @@
-"""A part of a scene source: encoding a scene costs seconds, and a small learner needs only some of them."""
+"""A subset of a scene source: encoding a scene costs seconds, and a small learner needs only a few of them."""
 
 from __future__ import annotations
 
@@ -10,8 +10,16 @@ from cp_env.scenes import open_source
 from cp_env.types import Scene, SceneSource, Sweep
 
 
-class Some:
-    """`n` scenes of a source, spread evenly over its list. Encoded maps are shared with the whole source's."""
+class SceneSubset:
+    """`n` scenes of a source, spread evenly over its list. Encoded maps are shared with the whole source's.
+
+    Args:
+        source: a scene source, or its name.
+        n: number of scenes.
+
+    Raises:
+        ValueError: more scenes than the source holds, or none.
+    """
 
     def __init__(self, source: str | SceneSource, n: int) -> None:
         self._source = open_source(source)

@@ -50,7 +50,7 @@ class Town:
 
     def sweeps(self, scene: Scene, frames: Sequence[int]) -> list[list[Sweep]]:
         """`[frame][agent]`: the connected vehicles in order, then the road-side unit."""
-        from cp_env import lidar  # heavy: only those who cast rays pay for it
+        from cp_env import lidar  # heavy: imported only to cast rays
 
         return lidar.scan([(scene, int(frame)) for frame in frames])
 

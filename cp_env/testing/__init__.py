@@ -3,8 +3,9 @@
     from cp_env.testing import check_env
     check_env(lambda: my_env(render_mode="rgb_array"))
 
-Each rule is a small function whose docstring states it. `GENERIC` holds for any environment with a constant set of
-agents; `HOUSE` for ours (perturbations inside the ball, a frozen victim, refusal of bad input), and is added for them.
+Each rule is a small function whose docstring states it. `PARALLEL_ENV_RULES` holds for any environment with a
+constant set of agents; `CP_ENV_RULES` for ours (perturbations inside the ball, a frozen victim, refusal of bad input),
+and is added for them.
 """
 
 from __future__ import annotations
@@ -13,16 +14,16 @@ import copy
 from collections.abc import Callable, Collection
 from typing import Any
 
-from cp_env.testing.cp_env_rules import HOUSE, is_ours
+from cp_env.testing.cp_env_rules import CP_ENV_RULES, is_ours
 from cp_env.testing.detector import DetectorRuleBroken, check_detector
-from cp_env.testing.parallel_env import GENERIC, Rule
+from cp_env.testing.parallel_env import PARALLEL_ENV_RULES, Rule
 from cp_env.testing.rollout import Case, Env, Violation
 from cp_env.testing.scenes import LAWS, LawBroken, check_scenes
 
 __all__ = [
-    "GENERIC",
-    "HOUSE",
+    "CP_ENV_RULES",
     "LAWS",
+    "PARALLEL_ENV_RULES",
     "DetectorRuleBroken",
     "LawBroken",
     "Rule",
@@ -62,11 +63,13 @@ def check_env(
     """
     if steps < 1:
         raise ValueError(f"steps must be at least 1, got {steps}")
-    known = {rule.__name__ for rule in GENERIC + HOUSE}
+    known = {rule.__name__ for rule in PARALLEL_ENV_RULES + CP_ENV_RULES}
     if unknown := set(skip) - known:
         raise ValueError(f"no rules called {sorted(unknown)}; the rules are {sorted(known)}")
     make: Callable[[], Any] = env_or_factory if callable(env_or_factory) else lambda: copy.deepcopy(env_or_factory)
-    rules = [rule for rule in GENERIC + (HOUSE if is_ours(make()) else ()) if rule.__name__ not in skip]
+    rules = [
+        rule for rule in PARALLEL_ENV_RULES + (CP_ENV_RULES if is_ours(make()) else ()) if rule.__name__ not in skip
+    ]
     case = Case(make, steps, seed)
     for rule in rules:
         _check(rule, case)

@@ -1,6 +1,6 @@
 """Rules of our own environments: the ball, the frozen victim, what bad input gets, when an episode ends.
 
-They look below the surface: `env.unwrapped.game` must have `settings` (budget, max_frames) and `world.detector`.
+They read internals: `env.unwrapped.game` must have `settings` (budget, max_frames) and `world.detector`.
 """
 
 from __future__ import annotations
@@ -108,15 +108,15 @@ def bad_actions_are_refused(case: Case) -> None:
 def unknown_agents_are_refused(case: Case) -> None:
     """`observation_space` and `action_space` raise ValueError for a name they do not know, and list those they know."""
     env = case.make()
-    for door in ("observation_space", "action_space"):
+    for method in ("observation_space", "action_space"):
         try:
-            getattr(env, door)("nobody_0")
+            getattr(env, method)("nobody_0")
         except ValueError as error:
-            require(env.possible_agents[0] in str(error), f"{door}: the message does not list the agents: {error}")
+            require(env.possible_agents[0] in str(error), f"{method}: the message does not list the agents: {error}")
         except Exception as error:
-            require(False, f"{door}('nobody_0') must raise ValueError, but raised {error!r}")
+            require(False, f"{method}('nobody_0') must raise ValueError, but raised {error!r}")
         else:
-            require(False, f"{door}('nobody_0') must raise ValueError, but returned a space")
+            require(False, f"{method}('nobody_0') must raise ValueError, but returned a space")
 
 
 def _refusal(call: Any, expected: type[Exception]) -> str | None:
@@ -199,7 +199,7 @@ def slots_are_numbered(case: Case) -> None:
         require(unit, f"action_space({agent!r}) is {space}, no Box in [-1, 1]")
 
 
-HOUSE: tuple[Rule, ...] = (
+CP_ENV_RULES: tuple[Rule, ...] = (
     ball_holds,
     out_of_range_is_clipped,
     bad_actions_are_refused,

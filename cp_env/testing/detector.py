@@ -1,9 +1,9 @@
-"""Rules for detectors, one for each promise of `cp_env.detector.protocol.DetectorLike`; each says what it demands.
+"""Conformance rules for detectors: one for each promise of `cp_env.detector.protocol.DetectorLike`.
 
     from cp_env.testing import check_detector
     check_detector(my_detector)
 
-A detector is looked at through its methods alone, on a crossing of five vehicles, recorded with the package's LiDAR.
+A detector is checked through its methods alone, on a crossing of five vehicles, recorded with the package's LiDAR.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import torch
 from torch import Tensor, nn
 
 from cp_env.detector.model.decoder import Dense
-from cp_env.detector.protocol import KeepsSweep, SharesMaps, at_side
+from cp_env.detector.protocol import SharesMaps, UsesEgoSweep, with_ego_context
 from cp_env.geometry.planar import grid_origin
 from cp_env.lidar.sensor import scan
 from cp_env.testing.rollout import Violation, require
@@ -88,24 +88,24 @@ class Trial:
         return self.detector.warp(self.maps[torch.from_numpy(self.order)], self.poses)
 
     @cached_property
-    def eyes(self) -> Any:
-        """The detector at the side of both egos."""
-        keeps = isinstance(self.detector, KeepsSweep)
-        return at_side(self.detector, self.detector.keep(self.sweeps[:EGOS]) if keeps else None)
+    def ego_detector(self) -> Any:
+        """The detector bound to the ego context of both egos."""
+        uses_sweep = isinstance(self.detector, UsesEgoSweep)
+        return with_ego_context(self.detector, self.detector.ego_context(self.sweeps[:EGOS]) if uses_sweep else None)
 
-    def look(self, world: list[int], groups: list[list[int]], received: Tensor | None = None) -> Dense:
-        """What is perceived of groups, each a list of members."""
+    def perceive(self, world: list[int], groups: list[list[int]], received: Tensor | None = None) -> Dense:
+        """The decoder's output for groups, each a list of members."""
         device = self.detector.device
         members = torch.tensor([[i in group for i in range(N)] for group in groups], device=device)
         coverage = self.detector.coverage(self.poses)
         received = self.received if received is None else received
-        return self.eyes.perceive(received, coverage, torch.tensor(world, device=device), members)
+        return self.ego_detector.perceive(received, coverage, torch.tensor(world, device=device), members)
 
     @cached_property
     def dense(self) -> Dense:
         """Everyone, the ego alone, another alone, all but the ego, in both worlds by turns."""
         with torch.no_grad():
-            return self.look(*self.rows)
+            return self.perceive(*self.rows)
 
     @property
     def rows(self) -> tuple[list[int], list[list[int]]]:
@@ -116,7 +116,7 @@ class Trial:
         own = (self.places - grid_origin(self.places))[self.rows[0]]
         return self.detector.detect(self.dense, own)
 
-    def alike(self, a: Tensor, b: Tensor) -> bool:
+    def is_close(self, a: Tensor, b: Tensor) -> bool:
         """Equal up to rounding."""
         return a.shape == b.shape and bool(torch.allclose(a, b, rtol=self.tolerance, atol=self.tolerance))
 
@@ -159,7 +159,7 @@ def digest_is_stable(trial: Trial) -> None:
     """`digest` is a string that is fit for a file name and stays the same, whatever is encoded and perceived."""
     digest = trial.detector.digest
     require(isinstance(digest, str) and digest.isalnum(), f"digest must be letters and digits, not {digest!r}")
-    trial.look(*trial.rows)
+    trial.perceive(*trial.rows)
     require(trial.detector.digest == digest, "digest changed though nobody changed the detector")
 
 
@@ -203,7 +203,7 @@ def maps_are_shared_maps(trial: Trial) -> None:
     require(bool(torch.isfinite(maps).all()), "maps hold NaN or infinity")
     limit = float(np.finfo(np.float16).max)
     require(float(maps.abs().max()) < limit, f"maps exceed {limit}: they are kept in half precision")
-    require(bool((maps[0] != maps[1]).any()), "two vehicles' maps are the same: does encode look at the sweep?")
+    require(bool((maps[0] != maps[1]).any()), "two vehicles' maps are the same: does encode use the sweep?")
 
 
 def encoding_is_deterministic(trial: Trial) -> None:
@@ -212,10 +212,10 @@ def encoding_is_deterministic(trial: Trial) -> None:
 
 
 def encoding_is_a_loop(trial: Trial) -> None:
-    """A sweep's map does not depend on the sweeps beside it, nor on their order."""
+    """A sweep's map does not depend on the other sweeps of its batch, nor on their order."""
     for row, sweep in enumerate(trial.sweeps):
         alone = trial.detector.encode([sweep])[0]
-        require(trial.alike(alone, trial.maps[row]), f"sweep {row} is encoded otherwise alone than with the others")
+        require(trial.is_close(alone, trial.maps[row]), f"sweep {row} is encoded otherwise alone than with the others")
 
 
 def warp_moves_whole_cells(trial: Trial) -> None:
@@ -240,11 +240,11 @@ def warp_is_linear(trial: Trial) -> None:
     for pose in ([0.0, 0.0, 0.0], [6.0, -4.0, 0.0], [3.3, -7.7, 0.6]):
         at = a.new_tensor([pose])
         whole, parts = trial.detector.warp(2 * a - 3 * b, at), [trial.detector.warp(one, at) for one in (a, b)]
-        require(trial.alike(whole, 2 * parts[0] - 3 * parts[1]), f"warp is not linear at pose {pose}")
+        require(trial.is_close(whole, 2 * parts[0] - 3 * parts[1]), f"warp is not linear at pose {pose}")
 
 
 def coverage_says_where_maps_reach(trial: Trial) -> None:
-    """`coverage` is [.., H, W] of zeros and ones: 1 for the ego itself, 0 for who is out of reach."""
+    """`coverage` is [.., H, W] of zeros and ones: 1 for the ego itself, 0 for a sender out of reach."""
     size = trial.detector.size
     poses = trial.maps.new_tensor([[0.0, 0, 0], [2 * EXTENT, 0, 0], [EXTENT, 0, 0]])
     covered = trial.detector.coverage(poses)
@@ -252,7 +252,7 @@ def coverage_says_where_maps_reach(trial: Trial) -> None:
     require(bool(((covered == 0) | (covered == 1)).all()), "coverage holds other numbers than 0 and 1")
     require(bool((covered[0] == 1).all()), "the ego does not cover its own map")
     require(not bool(covered[1].any()), "a sender two maps away covers some of the ego's")
-    require(bool((covered[2, :, size // 2 :] == 1).all()), "who is half a map to the east does not cover the east half")
+    require(bool((covered[2, :, size // 2 :] == 1).all()), "a sender half a map east does not cover the east half")
 
 
 def views_are_finite(trial: Trial) -> None:
@@ -261,7 +261,7 @@ def views_are_finite(trial: Trial) -> None:
     require(isinstance(dense, Dense), f"perceive gave a {type(dense).__name__}, not a Dense")
     height, width = dense.logits.shape[-2:]
     require(tuple(dense.logits.shape) == (rows, height, height) and height == width, "logits must be [B, h, h]")
-    require(tuple(dense.boxes.shape) == (rows, 6, height, width), "boxes must be [B, 6, h, w], beside the logits")
+    require(tuple(dense.boxes.shape) == (rows, 6, height, width), "boxes must be [B, 6, h, w], as large as the logits")
     require(
         bool(torch.isfinite(dense.logits).all() & torch.isfinite(dense.boxes).all()), "a view holds NaN or infinity"
     )
@@ -270,45 +270,47 @@ def views_are_finite(trial: Trial) -> None:
 def perceiving_is_deterministic(trial: Trial) -> None:
     """The same maps give the same view, bit for bit."""
     with torch.no_grad():
-        again = trial.look(*trial.rows)
+        again = trial.perceive(*trial.rows)
     require(torch.equal(again.logits, trial.dense.logits), "perceive gave another view of the same maps")
 
 
 def perceiving_is_a_loop(trial: Trial) -> None:
-    """A view does not depend on the views asked beside it, nor on their worlds."""
+    """A view does not depend on the other views of its batch, nor on their worlds."""
     for row, (world, group) in enumerate(zip(*trial.rows, strict=True)):
         with torch.no_grad():
-            alone = trial.look([world], [group])
-        same = trial.alike(alone.logits[0], trial.dense.logits[row]) and trial.alike(
+            alone = trial.perceive([world], [group])
+        same = trial.is_close(alone.logits[0], trial.dense.logits[row]) and trial.is_close(
             alone.boxes[0], trial.dense.boxes[row]
         )
         require(same, f"group {group} of world {world} is perceived otherwise alone than with the others")
 
 
 def outsiders_do_not_matter(trial: Trial) -> None:
-    """What a vehicle sends changes no view of a group without it, and does change one of a group with it."""
-    lying = trial.received.clone()
-    lying[:, 1] = lying[:, 1] + 1
+    """A vehicle's map changes no view of a group without it, and changes the view of a group with it."""
+    perturbed = trial.received.clone()
+    perturbed[:, 1] = perturbed[:, 1] + 1
     with torch.no_grad():
-        before, after = (trial.look([0, 0], [[0, 2], [0, 1, 2]], maps).logits for maps in (trial.received, lying))
+        before, after = (
+            trial.perceive([0, 0], [[0, 2], [0, 1, 2]], maps).logits for maps in (trial.received, perturbed)
+        )
     require(torch.equal(before[0], after[0]), "a vehicle outside the group changed its view")
     require(bool((before[1] != after[1]).any()), "a member's map changed and the view did not")
 
 
 def order_does_not_matter(trial: Trial) -> None:
-    """Who of the others is number 1, 2 or 3 does not matter: only vehicle 0, the ego, stands out."""
+    """The numbers of the others do not matter: only vehicle 0, the ego, is special."""
     turned = [0, 3, 1, 2]
     shuffled = Trial(trial.detector, trial.tolerance)
     shuffled.order = trial.order[:, turned]
     with torch.no_grad():
-        a, b = trial.look([0], [[0, 1, 2]]), shuffled.look([0], [[0, 2, 3]])
-    require(trial.alike(a.logits, b.logits), "the same maps in another order are perceived otherwise")
+        a, b = trial.perceive([0], [[0, 1, 2]]), shuffled.perceive([0], [[0, 2, 3]])
+    require(trial.is_close(a.logits, b.logits), "the same maps in another order are perceived otherwise")
 
 
 def empty_groups_are_refused(trial: Trial) -> None:
     """A group of nobody is a ValueError."""
     try:
-        trial.look([0, 0], [[0], []])
+        trial.perceive([0, 0], [[0], []])
     except ValueError:
         return
     require(False, "a group of nobody was perceived")
@@ -319,7 +321,7 @@ def gradients_flow(trial: Trial) -> None:
     maps = trial.maps.detach().clone().requires_grad_()
     received = trial.detector.warp(maps[torch.from_numpy(trial.order)], trial.poses)
     for what in ("logits", "boxes"):
-        dense = trial.look([0], [[0, 1, 3]], received)
+        dense = trial.perceive([0], [[0, 1, 3]], received)
         (gradient,) = torch.autograd.grad(getattr(dense, what).square().sum(), maps, retain_graph=True)
         require(bool(torch.isfinite(gradient).all()), f"the gradient of {what} is not finite")
         moved = gradient.flatten(1).any(1).tolist()
@@ -362,7 +364,7 @@ def the_ego_is_not_reported(trial: Trial) -> None:
     for found in trial.found:
         places += [(float(x), float(y)) for x, y in np.asarray(found.boxes)[:2, :2]]
     with torch.no_grad():
-        dense = trial.look([0], [[0, 1, 2, 3]])
+        dense = trial.perceive([0], [[0, 1, 2, 3]])
     for place in places:
         (found,) = trial.detector.detect(dense, np.array([place]))
         near = np.linalg.norm(np.asarray(found.boxes)[:, :2] - place, axis=1) < 0.5

@@ -25,10 +25,10 @@ def spaces_are_fixed(case: Case) -> None:
     require(
         len(set(env.possible_agents)) == len(env.possible_agents), f"possible_agents repeats: {env.possible_agents}"
     )
-    for agent, door in itertools.product(env.possible_agents, ("observation_space", "action_space")):
-        space = getattr(env, door)(agent)
-        require(isinstance(space, Space), f"{door}({agent!r}) is no gymnasium Space but a {type(space).__name__}")
-        require(space is getattr(env, door)(agent), f"{door}({agent!r}) returns another object each time")
+    for agent, method in itertools.product(env.possible_agents, ("observation_space", "action_space")):
+        space = getattr(env, method)(agent)
+        require(isinstance(space, Space), f"{method}({agent!r}) is no gymnasium Space but a {type(space).__name__}")
+        require(space is getattr(env, method)(agent), f"{method}({agent!r}) returns another object each time")
 
 
 def agents_are_constant(case: Case) -> None:
@@ -303,7 +303,7 @@ def rendering_changes_nothing(case: Case) -> None:
         call = player.advance()
 
 
-GENERIC: tuple[Rule, ...] = (
+PARALLEL_ENV_RULES: tuple[Rule, ...] = (
     spaces_are_fixed,
     agents_are_constant,
     dicts_are_complete,

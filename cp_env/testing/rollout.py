@@ -47,7 +47,7 @@ class Call:
 
 
 class Player:
-    """Plays one environment with random actions of its own, so that two players of one seed act alike."""
+    """Plays one environment with random actions of its own, so that two players of one seed act the same."""
 
     def __init__(self, env: Env, seed: int) -> None:
         self.env = env
@@ -101,7 +101,7 @@ class Case:
     seed: int
 
     def player(self) -> Player:
-        """A fresh instance and someone to play it. Players of one case act alike."""
+        """A fresh instance and a player of it. Players of one case act the same."""
         return Player(self.make(), self.seed)
 
     def transcript(self, seed: int) -> list[Call]:

@@ -22,7 +22,7 @@ from cp_env.testing.rollout import Violation, require
 from cp_env.types import Scene, SceneSource, Sweep
 
 FASTEST = 60.0  # m/s
-ROAD = 0.5  # m: so far from z = 0 is what a sensor meets beside it still road
+ROAD = 0.5  # m: so far from z = 0 is what a sensor meets near it still road
 NEAR = 15.0  # m
 CLOSE = 0.3  # m: how far a return may lie outside the box it is said to come from
 ANCHOR = 0.01  # m
@@ -57,14 +57,14 @@ class Case:
         return np.unique(np.linspace(0, scene.n_frames - 1, self._frames).round().astype(int)).tolist()
 
     @cached_property
-    def films(self) -> tuple[list[list[Sweep]], ...]:
+    def recordings(self) -> tuple[list[list[Sweep]], ...]:
         """The sweeps of every scene's frames."""
         return tuple(self.source.sweeps(scene, self.frames(scene)) for scene in self.scenes)
 
     def sweeps(self) -> Iterator[tuple[str, Scene, int, int, Sweep]]:
         """Every (where, scene, frame, agent, sweep)."""
-        for scene, film in zip(self.scenes, self.films, strict=True):
-            for t, sweeps in zip(self.frames(scene), film, strict=True):
+        for scene, recording in zip(self.scenes, self.recordings, strict=True):
+            for t, sweeps in zip(self.frames(scene), recording, strict=True):
                 for agent, sweep in enumerate(sweeps):
                     yield f"scene {scene.name}, frame {t}, agent {agent}", scene, t, agent, sweep
 
@@ -150,7 +150,7 @@ def rows_keep_their_vehicle(case: Case) -> None:
 
 
 def vehicles_drive_where_they_look(case: Case) -> None:
-    """Headings are counter-clockwise from x: of all who drive (3 m/s), nine in ten move within 45° of theirs."""
+    """Headings are counter-clockwise from x: nine in ten moving vehicles (3 m/s) go within 45° of theirs."""
     for scene in case.scenes:
         step = np.diff(scene.pose[..., :2], axis=0)
         yaw = scene.pose[:-1, :, 2]
@@ -163,10 +163,13 @@ def vehicles_drive_where_they_look(case: Case) -> None:
 
 def sweeps_have_their_shapes(case: Case) -> None:
     """A list for each frame, a sweep for each connected vehicle and then the road-side unit; points (P, 3), P ≥ 1."""
-    for scene, film in zip(case.scenes, case.films, strict=True):
+    for scene, recording in zip(case.scenes, case.recordings, strict=True):
         agents = scene.n_connected + (scene.rsu is not None)
-        require(len(film) == len(case.frames(scene)), f"scene {scene.name}: sweeps of {len(film)} frames")
-        require({len(s) for s in film} == {agents}, f"scene {scene.name}: sweeps of {[len(s) for s in film]} agents")
+        require(len(recording) == len(case.frames(scene)), f"scene {scene.name}: sweeps of {len(recording)} frames")
+        require(
+            {len(s) for s in recording} == {agents},
+            f"scene {scene.name}: sweeps of {[len(s) for s in recording]} agents",
+        )
     for where, scene, _, _, sweep in case.sweeps():
         points, origin, hits = sweep.points, sweep.origin, sweep.hits
         require(points.ndim == 2 and points.shape[1] == 3 and points.dtype.kind == "f", f"{where}: {points.shape}")
@@ -268,11 +271,11 @@ def _in_box(
 
 def frames_do_not_depend_on_their_batch(case: Case) -> None:
     """Sweeps of a frame are the same alone, in another order, and asked for twice."""
-    for scene, film in zip(case.scenes, case.films, strict=True):
+    for scene, recording in zip(case.scenes, case.recordings, strict=True):
         frames = case.frames(scene)
         again = case.source.sweeps(scene, [*frames[::-1], frames[0]])
-        for t, kept, told in zip([*frames[::-1], frames[0]], [*film[::-1], film[0]], again, strict=True):
-            _require_same(kept, told, f"scene {scene.name}, frame {t}, in another batch")
+        for t, kept, repeated in zip([*frames[::-1], frames[0]], [*recording[::-1], recording[0]], again, strict=True):
+            _require_same(kept, repeated, f"scene {scene.name}, frame {t}, in another batch")
 
 
 def loading_again_changes_nothing(case: Case) -> None:
@@ -302,14 +305,14 @@ def pickling_changes_nothing(case: Case) -> None:
     twin = pickle.loads(pickle.dumps(case.source))
     require(twin.digest == case.source.digest, f"the digest becomes {twin.digest!r}")
     require(tuple(twin.names()) == tuple(case.source.names()), "the names change")
-    scene, film = case.scenes[0], case.films[0]
-    told = twin.sweeps(twin.load(scene.name), case.frames(scene)[:1])
-    _require_same(film[0], told[0], f"scene {scene.name}, of the unpickled source")
+    scene, recording = case.scenes[0], case.recordings[0]
+    repeated = twin.sweeps(twin.load(scene.name), case.frames(scene)[:1])
+    _require_same(recording[0], repeated[0], f"scene {scene.name}, of the unpickled source")
 
 
-def _require_same(kept: list[Sweep], told: list[Sweep], where: str) -> None:
-    require(len(kept) == len(told), f"{where}: {len(told)} sweeps, not {len(kept)}")
-    for agent, (a, b) in enumerate(zip(kept, told, strict=True)):
+def _require_same(kept: list[Sweep], repeated: list[Sweep], where: str) -> None:
+    require(len(kept) == len(repeated), f"{where}: {len(repeated)} sweeps, not {len(kept)}")
+    for agent, (a, b) in enumerate(zip(kept, repeated, strict=True)):
         same = np.array_equal(a.points, b.points) and np.array_equal(a.origin, b.origin)
         same &= a.hits is b.hits if a.hits is None or b.hits is None else np.array_equal(a.hits, b.hits)
         require(same, f"{where}: agent {agent} has another sweep")

@@ -1,4 +1,4 @@
-"""Who is there: a vehicle may appear late or drop out, and then sends nothing."""
+"""Absent vehicles: one may appear late or drop out, and then sends nothing."""
 
 from __future__ import annotations
 
@@ -19,5 +19,5 @@ def checked(absent: Any, n_maps: int) -> Absences:
 
 
 def present(absent: Absences, n_maps: int, frame: int) -> frozenset[int]:
-    """The vehicles whose maps are there in a frame of the episode."""
+    """The vehicles that send a map in a frame of the episode."""
     return frozenset(i for i in range(n_maps) if frame not in absent.get(i, ()))

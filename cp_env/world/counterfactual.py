@@ -1,4 +1,4 @@
-"""What a liar can work out before it sends: the views that the ego would have, as the world computes them."""
+"""Counterfactual views: what the ego would see under a perturbation, as the world computes it."""
 
 from __future__ import annotations
 
@@ -20,8 +20,17 @@ Pair = tuple[int, Group]
 
 
 @torch.no_grad()
-def foresee(situation: Situation, delta: Float[Tensor, "E k C H W"], pairs: Sequence[Pair]) -> list[View]:
-    """The view of each (world, group) if δ were sent now."""
+def views_under(situation: Situation, delta: Float[Tensor, "E k C H W"], pairs: Sequence[Pair]) -> list[View]:
+    """The view of each (world, group) if δ were sent now.
+
+    Args:
+        situation: the current frame.
+        delta: one perturbation for each attacker, in its own grid frame.
+        pairs: which group of which world each view fuses.
+
+    Returns:
+        One view a pair.
+    """
     pose = torch.take_along_dim(situation.ego_T_sender, situation.attackers[..., None], 1)
     warped = situation.detector.warp(delta, pose)
     attacked = channel.inject(situation.received, warped, situation.attackers)
@@ -30,24 +39,24 @@ def foresee(situation: Situation, delta: Float[Tensor, "E k C H W"], pairs: Sequ
         row[sorted(group)] = True
     worlds, device = [e for e, _ in pairs], situation.received.device
     world = torch.tensor(worlds, dtype=torch.long, device=device)
-    dense = situation.eyes().perceive(attacked, situation.coverage, world, groups.to(device))
+    dense = situation.ego_detector().perceive(attacked, situation.coverage, world, groups.to(device))
     frames, places = situation.frame[worlds].tolist(), list(situation.place[worlds])
     return make_views(situation.detector, dense, [group for _, group in pairs], frames, places)
 
 
-def honest(situation: Situation) -> list[View]:
-    """What each ego would see of everyone if nobody lied."""
+def clean_views(situation: Situation) -> list[View]:
+    """The view that each ego would have of everyone without an attack."""
     everyone = frozenset(range(situation.fused.shape[1]))
     frames, places = situation.frame.tolist(), list(situation.place)
     return make_views(situation.detector, situation.clean, [everyone] * len(places), frames, places)
 
 
-def alike(views: Sequence[View], references: Sequence[View | None]) -> Float[np.ndarray, " V"]:
+def similarities(views: Sequence[View], references: Sequence[View | None]) -> Float[np.ndarray, " V"]:
     """Similarity of each view to its reference, Eq. (5); 1 where there is none yet."""
     pairs = [(v, v if reference is None else reference) for v, reference in zip(views, references, strict=True)]
     return similarity.view_similarity_many(pairs)
 
 
 def damage(views: Sequence[View], clean: Sequence[View]) -> Float[np.ndarray, " V"]:
-    """1 - Jaccard of each view to the one without lies."""
+    """Detection loss (1 - Jaccard) of each view against the unattacked one."""
     return 1 - similarity.jaccard_many([v.seen.boxes for v in views], [c.seen.boxes for c in clean])

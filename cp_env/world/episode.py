@@ -18,7 +18,7 @@ from cp_env.types import Scene, View
 
 @dataclass(frozen=True, eq=False)
 class Episode:
-    """One scene as N vehicles live it: maps 0..n-1 are the first n connected vehicles', the road-side unit's the last.
+    """One scene as N vehicles sense it: maps 0..n-1 are the first n connected vehicles', the road-side unit's the last.
 
     The ego frame of frame t is the grid frame of map 0 at t.
     """
@@ -28,10 +28,10 @@ class Episode:
     received: tuple[Float[np.ndarray, "T C H W"], ...]  # the same, warped to the ego frame
     ego_T_sender: Float[Tensor, "T N 3"]  # m, m, rad
     coverage: Float[Tensor, "T N H W"]
-    clean: Dense  # everyone fused, nobody lying; half precision, T views
+    clean: Dense  # everyone fused, no attack; half precision, T views
     clean_views: tuple[View, ...]
     truth: tuple[Float[np.ndarray, "_ 5"], ...]  # strict: every vehicle in range, seen or hidden; ego frame
-    kept: Shaped[np.ndarray, "T ..."] | None = None  # what the ego keeps of its own sweeps, if the detector asks for it
+    ego_context: Shaped[np.ndarray, "T ..."] | None = None  # of the ego, if the detector uses it
 
     def maps(self, name: str, frame: int) -> Float[Tensor, "N C H W"]:
         """`features` or `received` of one frame, single precision."""
@@ -48,11 +48,11 @@ def stack_maps(places: Sequence[tuple[Episode, int]], name: str) -> Float[Tensor
     return stacked
 
 
-def stack_kept(
+def stack_ego_context(
     places: Sequence[tuple[Episode, int]], device: torch.device | str = "cpu"
 ) -> Shaped[Tensor, "E ..."] | None:
-    """What the ego keeps in E (episode, frame); None if the detector asks for nothing."""
-    rows = [episode.kept[frame] for episode, frame in places if episode.kept is not None]
+    """The ego context of E (episode, frame); None if the detector uses none."""
+    rows = [episode.ego_context[frame] for episode, frame in places if episode.ego_context is not None]
     return torch.from_numpy(np.stack(rows)).to(device) if rows else None
 
 
@@ -70,7 +70,15 @@ def make_views(
 ) -> list[View]:
     """Detections and score map of each row of `dense`, as the opaque views that defenders compare.
 
-    `places` are where the ego stood in each: others see it and may report it, but it knows better.
+    Args:
+        detector: what made `dense`.
+        dense: the decoder's output, one row a view.
+        groups: the vehicles fused in each row.
+        frames: the frame of each row.
+        places: the ego's position in each row, m: the others detect the ego too, and its box is left out.
+
+    Returns:
+        One `View` a row.
     """
     origins = [grid_origin(place) for place in places]
     own = np.stack([place - origin for place, origin in zip(places, origins, strict=True)])

@@ -1,4 +1,4 @@
-"""The scene bank: every scene is encoded once and kept as half-precision memory maps in the user's cache directory.
+"""The cache of encoded scenes: half-precision memory maps in the user's cache directory, one encoding a scene.
 
 The cache key is a hash over the scene source and what the detector's maps depend on (`maps_digest`), so a stale entry
 cannot be read, and detectors that fuse the same maps in different ways share theirs; deleting the directory loses
@@ -23,11 +23,11 @@ from torch import Tensor
 from tqdm import tqdm
 
 from cp_env.detector.model.decoder import Dense
-from cp_env.detector.protocol import DetectorLike, KeepsSweep, at_side, maps_digest
+from cp_env.detector.protocol import DetectorLike, UsesEgoSweep, maps_digest, with_ego_context
 from cp_env.geometry.planar import grid_origin
 from cp_env.metrics.ground_truth import truth_boxes
 from cp_env.paths import cache_directory
-from cp_env.types import Scene, SceneSource, View
+from cp_env.types import Endless, Scene, SceneSource, View
 from cp_env.world.episode import Episode, ego_place, make_views
 
 CHUNK = 10
@@ -51,8 +51,8 @@ class SceneBank:
     ) -> None:
         self.source, self.detector, self.progress = source, detector, progress
         self.root = (root or cache_directory()) / f"{source.digest}-{maps_digest(detector)}"
-        self._passing = bool(getattr(source, "endless", False))
-        if self._passing:  # a folder of our own, which goes with us
+        self.endless = isinstance(source, Endless) and source.endless
+        if self.endless:  # a folder of our own, which goes with us
             self.root /= uuid.uuid4().hex
             weakref.finalize(self, _drop, self.root, os.getpid())
         self._episodes: OrderedDict[tuple[str, int, bool], Episode] = OrderedDict()
@@ -61,14 +61,14 @@ class SceneBank:
         return {**self.__dict__, "_episodes": OrderedDict()}
 
     def episode(self, name: str, n_vehicles: int, rsu: bool) -> Episode:
-        """The episode of scene `name`, encoded now if nobody has before (with a progress bar)."""
+        """The episode of scene `name`; it is encoded now, with a progress bar, unless the cache holds it."""
         key = (name, n_vehicles, rsu)
         if key not in self._episodes:
             self._episodes[key] = self._build(name, n_vehicles, rsu)
         self._episodes.move_to_end(key)
         while len(self._episodes) > KEPT:
             (scene, *_), _ = self._episodes.popitem(last=False)
-            if self._passing:
+            if self.endless:
                 _drop(self.root / scene, os.getpid())
         return self._episodes[key]
 
@@ -80,16 +80,18 @@ class SceneBank:
         features = tuple(self._open(scene, "features", agent) for agent in agents)
         received = tuple(self._open(scene, "received", agent) for agent in agents)
         coverage = self.detector.coverage(poses)
-        kept = np.load(self._path(scene, "kept", 0), mmap_mode="c", allow_pickle=False) if self._keeps else None
-        clean, views = self._clean(scene, received, coverage, kept)
+        ego_context = (
+            np.load(self._path(scene, "kept", 0), mmap_mode="c", allow_pickle=False) if self._uses_ego_sweep else None
+        )
+        clean, views = self._clean(scene, received, coverage, ego_context)
         truth = tuple(
             truth_boxes(scene, t, int(scene.connected[0]), self.detector.extent) for t in range(scene.n_frames)
         )
-        return Episode(scene, features, received, poses, coverage, clean, views, truth, kept)
+        return Episode(scene, features, received, poses, coverage, clean, views, truth, ego_context)
 
     @property
-    def _keeps(self) -> bool:
-        return isinstance(self.detector, KeepsSweep)
+    def _uses_ego_sweep(self) -> bool:
+        return isinstance(self.detector, UsesEgoSweep)
 
     def _agents(self, scene: Scene, n_vehicles: int, rsu: bool) -> list[int]:
         """Rows of a frame's sweeps: the first n connected vehicles, then the road-side unit."""
@@ -128,14 +130,14 @@ class SceneBank:
         return maps
 
     def _ensure(self, scene: Scene, agents: list[int]) -> None:
-        """Encode and warp those agents whose files are not there."""
+        """Encode and warp the maps of the agents that have no files yet."""
         missing = [a for a in agents if not self._path(scene, "received", a).exists()]
         if not missing:
             return
         detector = self.detector
         shape = (scene.n_frames, detector.channels, detector.size, detector.size)
         made = {(kind, a): np.empty(shape, np.float16) for kind in ("features", "received") for a in missing}
-        kept: list[Tensor] = []
+        ego_context: list[Tensor] = []
         poses = torch.from_numpy(self._poses(scene, missing if 0 in missing else [0, *missing])[:, -len(missing) :])
         starts = range(0, scene.n_frames, CHUNK)
         for start in tqdm(starts, f"encoding {scene.name}", leave=False, disable=not self.progress, unit_scale=CHUNK):
@@ -145,13 +147,13 @@ class SceneBank:
                 flat = detector.encode([sweeps[f][a] for f in range(len(frames)) for a in missing])
                 maps = flat.reshape(len(frames), len(missing), *flat.shape[1:])
                 warped = detector.warp(maps, poses[frames.start : frames.stop].to(maps.device))
-                if isinstance(detector, KeepsSweep):
-                    kept.append(detector.keep([of_all[0] for of_all in sweeps]).cpu())
+                if isinstance(detector, UsesEgoSweep):
+                    ego_context.append(detector.ego_context([of_all[0] for of_all in sweeps]).cpu())
             for column, agent in enumerate(missing):
                 made["features", agent][frames.start : frames.stop] = maps[:, column].cpu().numpy()
                 made["received", agent][frames.start : frames.stop] = warped[:, column].cpu().numpy()
-        if kept:
-            self._write(self._path(scene, "kept", 0), torch.cat(kept).numpy())
+        if ego_context:
+            self._write(self._path(scene, "kept", 0), torch.cat(ego_context).numpy())
         for (kind, agent), array in made.items():  # "features" first: its presence is implied by "received"
             self._write(self._path(scene, kind, agent), array)
 
@@ -159,25 +161,27 @@ class SceneBank:
         path.parent.mkdir(parents=True, exist_ok=True)
         draft = path.with_name(f".{path.stem}-{uuid.uuid4().hex}.npy")
         np.save(draft, array, allow_pickle=False)
-        os.replace(draft, path)
+        draft.replace(path)
 
     def _clean(
         self,
         scene: Scene,
         received: tuple[np.ndarray, ...],
         coverage: Float[Tensor, "T N H W"],
-        kept: Shaped[np.ndarray, "T ..."] | None,
+        ego_context: Shaped[np.ndarray, "T ..."] | None,
     ) -> tuple[Dense, tuple[View, ...]]:
-        """What the ego would see in every frame if nobody lied."""
+        """The ego's output and view of every frame without an attack."""
         device = self.detector.device
         first = torch.zeros(1, dtype=torch.long, device=device)
         everyone = torch.ones(1, len(received), dtype=torch.bool, device=device)
         group, views, logits, boxes = frozenset(range(len(received))), [], [], []
         for t in range(scene.n_frames):
             maps = torch.stack([torch.from_numpy(m[t]) for m in received]).float()[None]
-            eyes = at_side(self.detector, None if kept is None else torch.from_numpy(kept[t : t + 1]))
+            detector = with_ego_context(
+                self.detector, None if ego_context is None else torch.from_numpy(ego_context[t : t + 1])
+            )
             with torch.inference_mode():
-                dense = eyes.perceive(maps.to(device), coverage[t : t + 1].to(device), first, everyone)
+                dense = detector.perceive(maps.to(device), coverage[t : t + 1].to(device), first, everyone)
                 views += make_views(self.detector, dense, [group], [t], [ego_place(scene, t)])
             logits.append(dense.logits.half().cpu())
             boxes.append(dense.boxes.half().cpu())

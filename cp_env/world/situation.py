@@ -6,35 +6,37 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
 
 from cp_env.detector.model.decoder import Dense
-from cp_env.detector.protocol import DetectorLike, at_side
+from cp_env.detector.protocol import DetectorLike, with_ego_context
 from cp_env.types import View
+from cp_env.world.episode import Episode
 from cp_env.world.verification import Judgement
 from defenders.protocol import Verdict
+
+Clock = Callable[[], float]
 
 
 @dataclass(frozen=True, eq=False)
 class Situation:
-    """The current frame before anyone acts: all that a white-box attacker may know. First axis: worlds.
+    """The current frame before anyone acts: all that a white-box attack may know. First axis: worlds.
 
-    That includes the defence, by what the ego did in the last frame (`output`, `verdict`) and by `rehearse`: what would
-    come of a δ if it were played now. It judges by copies of the defenders as they are, their algorithm and all they
-    hold in mind, but their coins fall as the attacker's own generators say: one a world. No defender changes by it.
+    That includes the defence, by what the ego did in the last frame (`output`, `verdict`) and by `simulate`: the
+    outcome of a δ if it were played now. It is judged by copies of the defenders, their algorithm and state. Their
+    random numbers come from the attack's own generators, one a world. No defender changes by it.
     """
 
     features: Callable[[], Float[Tensor, "E N C H W"]]  # encoded maps, sender frames; read on demand
-    received: Float[Tensor, "E N C H W"]  # the same in the ego frame, nobody lying yet
+    received: Float[Tensor, "E N C H W"]  # the same in the ego frame, before any perturbation
     coverage: Float[Tensor, "E N H W"]
     ego_T_sender: Float[Tensor, "E N 3"]  # m, m, rad
-    clean: Dense  # the decoder's output with everyone fused and nobody lying
+    clean: Dense  # the decoder's output with everyone fused and no attack
     attackers: Int[Tensor, "E k"]
-    fused: Bool[
-        Tensor, "E N"
-    ]  # whom the ego is expected to fuse: all, until a verdict that has converged leaves some out
-    present: Bool[Tensor, "E N"]  # whose maps are there; perturbations of others are dropped
+    fused: Bool[Tensor, "E N"]  # expected collaborators: all, until a verdict that has converged leaves some out
+    present: Bool[Tensor, "E N"]  # vehicles that send a map; perturbations of others are dropped
     active: Bool[Tensor, " E"]  # False in grace frames: perturbations are dropped
     frame: Int[np.ndarray, " E"]  # since the episode began
     budget: float  # Δ
@@ -43,12 +45,12 @@ class Situation:
     place: Float[np.ndarray, "E 2"]  # where the egos stand in the world; m
     output: tuple[View | None, ...]  # what they acted on in the last frame; None in the first
     verdict: tuple[Verdict | None, ...]  # of the last frame
-    rehearse: Callable[[Float[Tensor, "E k C H W"], Sequence[np.random.Generator]], Outcome]
-    kept: Shaped[Tensor, "E ..."] | None = None  # what the egos keep of their own sweeps, if the detector asks for it
+    simulate: Callable[[Float[Tensor, "E k C H W"], Sequence[np.random.Generator]], Outcome]
+    ego_context: Shaped[Tensor, "E ..."] | None = None  # of the egos, if the detector uses it
 
-    def eyes(self, worlds: Int[Tensor, " B"] | slice = slice(None)) -> DetectorLike:
-        """The detector with which the egos of `worlds` perceive: for rows of `received[worlds]`."""
-        return at_side(self.detector, None if self.kept is None else self.kept[worlds])
+    def ego_detector(self, worlds: Int[Tensor, " B"] | slice = slice(None)) -> DetectorLike:
+        """The detector bound to the ego context of `worlds`: for rows of `received[worlds]`."""
+        return with_ego_context(self.detector, None if self.ego_context is None else self.ego_context[worlds])
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,8 +58,8 @@ class Outcome:
     """One frame of every world, after the defenders judged it. Sequences and first axes run over worlds."""
 
     frame: Int[np.ndarray, " E"]
-    seen: tuple[View, ...]  # everyone fused, liars included
-    clean: tuple[View, ...]  # everyone fused, as it would have been without lies
+    seen: tuple[View, ...]  # everyone fused, attackers included
+    clean: tuple[View, ...]  # everyone fused, as it would have been without the attack
     judgements: tuple[Judgement, ...]
     truth: tuple[Float[np.ndarray, "_ 5"], ...]
     similarity: Float[np.ndarray, " E"]  # Eq. (5) of `seen` to the previous output; 1 in the first frame
@@ -65,6 +67,7 @@ class Outcome:
     perturbation_norm: Float[np.ndarray, "E k"]
     attackers: Int[np.ndarray, "E k"]
     truncated: Bool[np.ndarray, " E"]
+    seconds: float = 0.0  # what the step took for all worlds: perceiving and defending, not attacking
 
     @property
     def output(self) -> tuple[View, ...]:
@@ -83,3 +86,34 @@ class Outcome:
     def errors(self) -> tuple[str | None, ...]:
         """Why a world's defender failed in this frame; None where it did not."""
         return tuple(judgement.error for judgement in self.judgements)
+
+
+FRAME_METRICS: dict[str, Callable[[Outcome], Float[np.ndarray, " E"]]] = {
+    "damage": lambda outcome: outcome.damage,
+    "verifications": lambda outcome: outcome.verifications,
+    "similarity": lambda outcome: outcome.similarity,
+    "frame": lambda outcome: outcome.frame,
+    "suspects": lambda outcome: np.array([len(verdict.suspects) for verdict in outcome.verdicts]),
+    "collaborators": lambda outcome: np.array([len(verdict.collaborators) for verdict in outcome.verdicts]),
+    "converged": lambda outcome: np.array([verdict.converged for verdict in outcome.verdicts]),
+    "failed": lambda outcome: np.array([error is not None for error in outcome.errors]),
+}
+"""One number a world and frame. Infos, observations and records read an outcome through this table."""
+
+
+def clean_output(
+    places: Sequence[tuple[Episode, int]],
+    detector: DetectorLike,
+    received: Float[Tensor, "E N C H W"],
+    coverage: Float[Tensor, "E N H W"],
+    present: Bool[Tensor, "E N"],
+) -> Dense:
+    """The decoder's output without an attack. With everyone present it was stored; else it is perceived anew."""
+    logits = torch.stack([episode.clean.logits[t] for episode, t in places]).float().to(received.device)
+    boxes = torch.stack([episode.clean.boxes[t] for episode, t in places]).float().to(received.device)
+    few = torch.nonzero(~present.all(1)).flatten()
+    if len(few):
+        with torch.inference_mode():
+            dense = detector.perceive(received, coverage, few, present[few])
+        logits[few], boxes[few] = dense.logits.clone(), dense.boxes.clone()
+    return Dense(logits, boxes)

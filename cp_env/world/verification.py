@@ -1,6 +1,6 @@
-"""Lock-step verification: every world's defender asks, one forward answers all, the referee counts.
+"""Lock-step verification: the defenders of all worlds query groups, one forward pass answers, queries are counted.
 
-Convention: a *pair* is (world, group). The referee never tells a defender who lies; it hands out views, no more.
+Convention: a *pair* is (world, group). A defender is given views and nothing else; it is never told the attackers.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ class DefenderError(RuntimeError):
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """What one defender is shown of one frame (see `defenders.protocol.Frame`)."""
+    """One frame as a defender is shown it (see `defenders.protocol.Frame`)."""
 
     index: int
     n_vehicles: int
@@ -34,7 +34,7 @@ class Frame:
 
     @property
     def present(self) -> frozenset[int]:
-        """Whose maps are there in this frame."""
+        """The vehicles that send a map in this frame."""
         return self.seen.group
 
     def similarity(self, a: View, b: View) -> float:
@@ -53,12 +53,12 @@ def _key(a: View, b: View) -> tuple[int, int]:
     return (id(a), id(b)) if id(a) < id(b) else (id(b), id(a))
 
 
-def foresee(looked: Sequence[tuple[Frame, View]]) -> None:
-    """Compare fresh views with their frame's last output, all in one go, before anyone asks: many at once cost little.
+def prefetch_similarities(verified: Sequence[tuple[Frame, View]]) -> None:
+    """Compare new views with their frame's last output, all in one go: many at once cost little.
 
-    Nothing a defender sees depends on it: similarities asked for later are taken from here instead of computed.
+    No defender's results depend on it: similarities asked for later are taken from here instead of computed.
     """
-    pairs = [(frame, view, frame._previous) for frame, view in looked if frame._previous is not None]
+    pairs = [(frame, view, frame._previous) for frame, view in verified if frame._previous is not None]
     values = similarity.view_similarity_many([(view, previous) for _, view, previous in pairs])
     for (frame, view, previous), value in zip(pairs, values.tolist(), strict=True):
         frame._memo[_key(view, previous)] = (view, previous, value)
@@ -66,7 +66,7 @@ def foresee(looked: Sequence[tuple[Frame, View]]) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Judgement:
-    """What one world's defender did in one frame."""
+    """The verdict of one world's defender on one frame, and what it cost."""
 
     verdict: Verdict
     output: View
@@ -135,8 +135,8 @@ class _Case:
             self._fail(f"inspect() must return a Verdict, not {type(verdict).__name__}")
         elif not verdict.collaborators & self.present or not named(verdict) <= self.everyone:
             self._fail(
-                f"a verdict must fuse at least one of the vehicles 0..{self.frame.n_vehicles - 1} and accuse none but "
-                f"them, not fuse {sorted(verdict.collaborators)} and accuse {sorted(verdict.suspects)}; present are "
+                f"a verdict must fuse at least one of the vehicles 0..{self.frame.n_vehicles - 1} and flag none but "
+                f"them, not fuse {sorted(verdict.collaborators)} and flag {sorted(verdict.suspects)}; present are "
                 f"{sorted(self.present)}"
             )
         else:
@@ -152,36 +152,44 @@ class _Case:
 
 
 def named(verdict: Verdict) -> frozenset[int]:
-    """Everyone a verdict speaks of."""
+    """The vehicles that a verdict names."""
     return verdict.collaborators | verdict.suspects
 
 
 def judge(frames: Sequence[Frame], defenders: Sequence[Defender], perceive: Perceive) -> list[Judgement]:
     """Run every defender on its frame, all in lock-step: one forward a round, however many worlds.
 
-    A group asked twice in a frame is computed once but counted as asked; the output is free when its group was already
-    looked at. A defender that fails gets a verdict that fuses everyone, and `error` says why.
+    A group asked twice in a frame is computed once but counted twice. The output is free when its group was already
+    verified. A defender that fails gets a verdict that fuses everyone, and `error` says why.
+
+    Args:
+        frames: the frame of each world.
+        defenders: the defender of each world.
+        perceive: computes the views of a list of (world, group).
+
+    Returns:
+        One judgement a world.
     """
     cases = [
         _Case(world=e, frame=frame, defender=defender, views={frame.seen.group: frame.seen})
         for e, (frame, defender) in enumerate(zip(frames, defenders, strict=True))
     ]
-    foresee([(frame, frame.seen) for frame in frames])
+    prefetch_similarities([(frame, frame.seen) for frame in frames])
     try:
         running = cases
         while running:
             for case in running:
                 case.advance()
             running = [case for case in running if case.query is not None]
-            _look(perceive, [(c, g) for c in running if c.query is not None for g in c.query.groups])
-        _look(perceive, [(c, c.verdict.collaborators) for c in cases if c.verdict is not None])
+            _compute_missing(perceive, [(c, g) for c in running if c.query is not None for g in c.query.groups])
+        _compute_missing(perceive, [(c, c.verdict.collaborators) for c in cases if c.verdict is not None])
     finally:
         for case in cases:
             case.close()
     return [_judgement(case) for case in cases]
 
 
-def _look(perceive: Perceive, wanted: Sequence[tuple[_Case, frozenset[int]]]) -> None:
+def _compute_missing(perceive: Perceive, wanted: Sequence[tuple[_Case, frozenset[int]]]) -> None:
     """Compute the views that are not there yet, all worlds in one call."""
     there = [(case, group & case.present) for case, group in wanted]
     missing = {(case.world, group): case for case, group in there if group not in case.views}
@@ -189,7 +197,7 @@ def _look(perceive: Perceive, wanted: Sequence[tuple[_Case, frozenset[int]]]) ->
         views = perceive(list(missing))
         for (pair, case), view in zip(missing.items(), views, strict=True):
             case.views[pair[1]] = view
-        foresee([(case.frame, view) for case, view in zip(missing.values(), views, strict=True)])
+        prefetch_similarities([(case.frame, view) for case, view in zip(missing.values(), views, strict=True)])
 
 
 def _judgement(case: _Case) -> Judgement:
@@ -204,7 +212,7 @@ def _judgement(case: _Case) -> Judgement:
 
 
 def suspicion(defender: Defender, n_vehicles: int) -> np.ndarray:
-    """The defender's belief padded to every vehicle: probability that each lies, zeros where it says nothing."""
+    """The defender's belief padded to every vehicle: probability that each is malicious; zeros without one."""
     padded = np.zeros(n_vehicles, dtype=np.float32)
     belief = np.asarray(defender.belief(), dtype=np.float32)[:n_vehicles]
     padded[: len(belief)] = belief

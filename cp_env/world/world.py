@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import copy
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 import torch
@@ -14,23 +15,34 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 import defenders
-from cp_env.detector.model.decoder import Dense
-from cp_env.detector.protocol import DetectorLike
+from cp_env.detector.protocol import DetectorLike, fusion_of, with_ego_context
 from cp_env.detector.registry import open_detector
 from cp_env.metrics import similarity
 from cp_env.perturbation import channel
 from cp_env.scenes import open_source
-from cp_env.settings import Settings
+from cp_env.settings import WORLD_DEFAULTS, Options, Settings
 from cp_env.types import SceneSource, View
 from cp_env.world import absence
 from cp_env.world.absence import Absences
-from cp_env.world.episode import Episode, ego_place, make_views, stack_kept, stack_maps
+from cp_env.world.episode import Episode, ego_place, make_views, stack_ego_context, stack_maps
+from cp_env.world.reset import EpisodePlan, ResetOptions, Seed, options_of, plan_episode, sequence_of
 from cp_env.world.scene_cache import SceneBank
-from cp_env.world.situation import Outcome, Situation
+from cp_env.world.situation import Clock, Outcome, Situation, clean_output
 from cp_env.world.verification import DefenderError, Frame, Judgement, Pair, judge
-from defenders.protocol import Defender, Verdict
+from defenders.protocol import Defender, Informed, Verdict
 
-Seed = int | np.random.SeedSequence | None
+
+def open_bank(
+    fusion: str,
+    *,
+    scenes: str | SceneSource,
+    detector: str | DetectorLike,
+    checkpoint: str | Path | None,
+    device: str,
+) -> SceneBank:
+    """The bank of the named scenes under the named detector; see `open_source` and `open_detector`."""
+    model = open_detector(detector, fusion=fusion, checkpoint=checkpoint, device=device)
+    return SceneBank(open_source(scenes), model)
 
 
 @dataclass(eq=False)
@@ -39,7 +51,7 @@ class _State:
 
     seeds: np.random.SeedSequence
     defender: Defender
-    coins: np.random.Generator | None = None  # the defender's
+    rng: np.random.Generator | None = None  # the defender's
     scene: str = ""
     start: int = 0
     frame: int = 0  # since the episode began
@@ -48,20 +60,31 @@ class _State:
     output: View | None = None
     verdict: Verdict | None = None
     error: str | None = None
+    informed: bool = False  # whether the defender was shown the attackers of this episode
 
-    def imagined(self, coins: np.random.Generator) -> Defender:
-        """A copy of the defender as it is, but for its coins; the last output, which never changes, is shared."""
-        twin: Defender = copy.deepcopy(self.defender, {id(self.coins): coins, id(self.output): self.output})
+    def with_rng(self, rng: np.random.Generator) -> Defender:
+        """A copy of the defender with another generator; the last output, which never changes, is shared."""
+        twin: Defender = copy.deepcopy(self.defender, {id(self.rng): rng, id(self.output): self.output})
         return twin
 
 
 class World:
-    """E worlds: scene, liars, channel, the ego's detector and one defender each.
+    """E worlds: scene, attackers, channel, the ego's detector and one defender each.
 
-    `defender` is a name, an object (copied for every world) or a factory; `scenes` a name or a `SceneSource`;
-    `detector`, `checkpoint` and `device` as in `open_detector`, unless a `bank` brings its detector along. All other
-    knobs are those of `cp_env.parallel_env`. Seeds: one `SeedSequence` a world, spawned at every reset for the scene,
-    the draw of liars and the defender, so a world's trajectory does not depend on its neighbours.
+    Every world has one `SeedSequence`, spawned at every reset for the scene, the draw of attackers and the defender. So
+    a world's trajectory does not depend on its neighbours.
+
+    Args:
+        num_envs: E, worlds stepped together.
+        defender: a name, an object (copied for every world) or a function that makes one.
+        bank: encoded scenes with their source and detector, instead of the options `scenes`, `detector`, `checkpoint`
+            and `device`.
+        settings: the options of `cp_env.parallel_env`, checked; the defaults if it is left out.
+        clock: measures what a step takes, in seconds.
+        options: options of `cp_env.parallel_env` that differ from `settings`.
+
+    Raises:
+        ValueError: an option out of range or an unknown name.
     """
 
     def __init__(
@@ -69,28 +92,27 @@ class World:
         num_envs: int,
         *,
         defender: str | Defender | Callable[[], Defender] = "prbi",
-        scenes: str | SceneSource = "town",
-        device: str = "cpu",
-        detector: str | DetectorLike = "cp_env",
-        checkpoint: str | Path | None = None,
         bank: SceneBank | None = None,
         settings: Settings | None = None,
-        **knobs: Any,
+        clock: Clock = time.perf_counter,
+        **options: Unpack[Options],
     ) -> None:
         if num_envs < 1:
             raise ValueError(f"num_envs must be at least 1, not {num_envs}")
-        self.settings = replace(settings, **knobs) if settings else Settings(**knobs)
+        place: dict[str, Any] = {name: value for name, value in options.items() if name in WORLD_DEFAULTS}
+        rest: dict[str, Any] = {name: value for name, value in options.items() if name not in WORLD_DEFAULTS}
+        self.settings = Settings.of(rest) if settings is None else replace(settings, **rest)
         if bank is None:
-            eyes = open_detector(detector, fusion=self.settings.fusion, checkpoint=checkpoint, device=device)
-            bank = SceneBank(open_source(scenes), eyes)
+            bank = open_bank(self.settings.fusion, **{**WORLD_DEFAULTS, **place})
         self.num_envs, self.bank, self.detector = num_envs, bank, bank.detector
         self.device = self.detector.device
         prototype = defenders.make(defender)
         self._worlds = [_State(np.random.SeedSequence(), copy.deepcopy(prototype)) for _ in range(num_envs)]
         for state in self._worlds:
-            state.defender.configure(fusion=getattr(self.detector, "fusion", self.settings.fusion))
+            state.defender.configure(fusion=fusion_of(self.detector, self.settings.fusion))
         self._everyone = frozenset(range(self.settings.n_maps))
         self._situation: Situation | None = None
+        self._clock = clock
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_situation": None}  # rebuilt from the bank
@@ -101,39 +123,39 @@ class World:
         self,
         seeds: Sequence[Seed] | None = None,
         worlds: Sequence[int] | None = None,
-        options: dict[str, Any] | None = None,
+        options: ResetOptions = None,
     ) -> None:
-        """Begin a new episode in `worlds` (all by default). A seed of None goes on with that world's own stream.
+        """Begin a new episode in `worlds`. Everything is checked first: a refused reset changes nothing.
 
-        `options` may fix the "scene" (a name) and the "start" (first frame of the scene); else both are drawn. "absent"
-        maps vehicles to the frames of the episode in which they send nothing, as {3: range(10, 20)}; by default none.
+        Args:
+            seeds: one a world; None goes on with that world's own stream.
+            worlds: numbers of the worlds; all by default.
+            options: one dict for all of `worlds` or one for each. "scene" (a name) and "start" (first frame of the
+                scene) fix what else is drawn. "absent" maps vehicles to the frames of the episode in which they send
+                nothing, as {3: range(10, 20)}.
+
+        Raises:
+            ValueError: an unknown option, or one that the scene does not allow.
+            DefenderError: a defender fails in its reset.
         """
-        worlds = range(self.num_envs) if worlds is None else worlds
-        for e, seed in zip(worlds, seeds or [None] * len(worlds), strict=True):
-            self._begin(self._worlds[e], seed, options or {})
+        chosen = list(range(self.num_envs) if worlds is None else worlds)
+        plans = []
+        for e, seed, own in zip(chosen, seeds or [None] * len(chosen), options_of(options, len(chosen)), strict=True):
+            stream = self._worlds[e].seeds if seed is None else sequence_of(seed)
+            plans.append(plan_episode(self.bank, self.settings, stream, own))
         self._situation = None
+        for e, plan in zip(chosen, plans, strict=True):
+            self._begin(self._worlds[e], plan)
 
-    def _begin(self, state: _State, seed: Seed, options: dict[str, Any]) -> None:
-        if seed is not None:
-            state.seeds = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
-        place, draw, mind = (np.random.default_rng(child) for child in state.seeds.spawn(3))
-        names = self.bank.source.names()
-        state.scene = str(options.get("scene", names[place.integers(len(names))]))
-        spare = self._episode(state).scene.n_frames - self.settings.max_frames
-        state.start = int(options.get("start", place.integers(max(spare, 0) + 1)))
-        if not 0 <= state.start < self._episode(state).scene.n_frames:
-            raise ValueError(f"start must be a frame of scene {state.scene!r}, not {state.start}")
-        settings = self.settings
-        drawn = draw.choice(settings.n_vehicles, settings.k, replace=False) if settings.attackers is None else ()
-        state.attackers = tuple(sorted(int(i) for i in (settings.attackers or drawn)))
-        state.absent = absence.checked(options.get("absent", {}), settings.n_maps)
+    def _begin(self, state: _State, plan: EpisodePlan) -> None:
+        state.seeds, state.rng = plan.seeds, plan.rng
+        state.scene, state.start, state.attackers, state.absent = plan.scene, plan.start, plan.attackers, plan.absent
         state.frame, state.output, state.verdict, state.error = 0, None, None, None
-        tell = getattr(state.defender, "tell", None)  # the oracle alone is told the truth: defenders.baselines
-        if tell is not None:
-            tell(frozenset(state.attackers))
-        state.coins = mind
+        state.informed = isinstance(state.defender, Informed)
+        if isinstance(state.defender, Informed):
+            state.defender.reveal_attackers(frozenset(plan.attackers))
         try:
-            state.defender.reset(settings.n_maps, mind)
+            state.defender.reset(self.settings.n_maps, plan.rng)
         except Exception as error:  # a plug-in's failure ends its own episode, with its name
             raise DefenderError(f"defender {type(state.defender).__name__} failed in reset: {error}") from error
 
@@ -144,8 +166,13 @@ class World:
 
     @property
     def attackers(self) -> Int[np.ndarray, "E k"]:
-        """Numbers of the lying vehicles, ascending."""
+        """Numbers of the malicious vehicles, ascending."""
         return np.array([state.attackers for state in self._worlds], dtype=np.int64).reshape(self.num_envs, -1)
+
+    @property
+    def informed(self) -> tuple[bool, ...]:
+        """Whether each world showed its defender the attackers of this episode."""
+        return tuple(state.informed for state in self._worlds)
 
     @property
     def excluded(self) -> Bool[np.ndarray, "E N"]:
@@ -157,11 +184,11 @@ class World:
         return excluded
 
     def _present(self) -> list[frozenset[int]]:
-        """Whose maps are there in each world."""
+        """The vehicles that send a map in each world."""
         return [absence.present(s.absent, self.settings.n_maps, s.frame) for s in self._worlds]
 
     def _expected(self) -> Bool[np.ndarray, "E N"]:
-        """Whom the ego will look at first: a verdict that has not converged may change, so all present until then."""
+        """Expected collaborators: all present, less those that a converged verdict excludes."""
         converged = [s.verdict is not None and s.verdict.converged for s in self._worlds]
         return self._rows(self._present()) & ~(self.excluded & np.array(converged)[:, None])
 
@@ -191,18 +218,20 @@ class World:
         """The current frame before anyone acts; computed once a frame."""
         if self._situation is None:
             places = self.places
-            situation = Situation(
+            received = stack_maps(places, "received").to(self.device)
+            coverage = torch.stack([ep.coverage[t] for ep, t in places]).to(self.device)
+            present = torch.from_numpy(self._rows(self._present())).to(self.device)
+            ego_context = stack_ego_context(places, self.device)
+            detector = with_ego_context(self.detector, ego_context)
+            self._situation = Situation(
                 features=self.features,
-                received=stack_maps(places, "received").to(self.device),
-                coverage=torch.stack([ep.coverage[t] for ep, t in places]).to(self.device),
+                received=received,
+                coverage=coverage,
                 ego_T_sender=torch.stack([ep.ego_T_sender[t] for ep, t in places]).to(self.device),
-                clean=Dense(
-                    torch.stack([ep.clean.logits[t] for ep, t in places]).float().to(self.device),
-                    torch.stack([ep.clean.boxes[t] for ep, t in places]).float().to(self.device),
-                ),
+                clean=clean_output(places, detector, received, coverage, present),
                 attackers=torch.from_numpy(self.attackers).to(self.device),
                 fused=torch.from_numpy(self._expected()).to(self.device),
-                present=torch.from_numpy(self._rows(self._present())).to(self.device),
+                present=present,
                 active=torch.tensor([s.frame >= self.settings.grace_frames for s in self._worlds], device=self.device),
                 frame=np.array([s.frame for s in self._worlds]),
                 budget=self.settings.budget,
@@ -211,35 +240,26 @@ class World:
                 place=np.stack([ego_place(ep.scene, t) for ep, t in places]),
                 output=tuple(s.output for s in self._worlds),
                 verdict=tuple(s.verdict for s in self._worlds),
-                rehearse=self._rehearse,
-                kept=stack_kept(places, self.device),
+                simulate=self._simulate,
+                ego_context=ego_context,
             )
-            self._situation = self._without_absent(situation)
         return self._situation
-
-    def _without_absent(self, situation: Situation) -> Situation:
-        """The clean output is the bank's, with everyone fused; where someone is absent it is perceived anew."""
-        few = torch.nonzero(~situation.present.all(1)).flatten()
-        if len(few):
-            with torch.inference_mode():
-                dense = situation.eyes().perceive(situation.received, situation.coverage, few, situation.present[few])
-            situation.clean.logits[few], situation.clean.boxes[few] = dense.logits.clone(), dense.boxes.clone()
-        return situation
 
     def step(self, delta: Float[Tensor, "E k C H W"]) -> Outcome:
         """Play one frame: transmit F_i + δ_i, fuse and decode (Eq. 1), let the defenders judge.
 
         Raises ValueError if δ has the wrong shape or is not finite. A larger δ than the budget allows is projected.
         """
+        start = self._clock()
         outcome = self._play(delta, self.defenders)
         self._advance(outcome)
-        return outcome
+        return replace(outcome, seconds=self._clock() - start)
 
-    def _rehearse(self, delta: Float[Tensor, "E k C H W"], coins: Sequence[np.random.Generator]) -> Outcome:
-        """See `Situation.rehearse`."""
-        return self._play(delta, [s.imagined(own) for s, own in zip(self._worlds, coins, strict=True)])
+    def _simulate(self, delta: Float[Tensor, "E k C H W"], rngs: Sequence[np.random.Generator]) -> Outcome:
+        """See `Situation.simulate`."""
+        return self._play(delta, [s.with_rng(own) for s, own in zip(self._worlds, rngs, strict=True)])
 
-    def _play(self, delta: Float[Tensor, "E k C H W"], minds: Sequence[Defender]) -> Outcome:
+    def _play(self, delta: Float[Tensor, "E k C H W"], defenders: Sequence[Defender]) -> Outcome:
         with torch.inference_mode():
             situation = self.situation()
             attacked, norms = self._transmit(situation, delta)
@@ -247,7 +267,7 @@ class World:
             seen = perceive(list(enumerate(self._present())))
             states = zip(self._worlds, seen, strict=True)
             frames = [Frame(s.frame, self.settings.n_maps, view, s.output) for s, view in states]
-            return self._outcome(frames, judge(frames, minds, perceive), norms, self._clean(situation))
+            return self._outcome(frames, judge(frames, defenders, perceive), norms, self._clean(situation))
 
     def _transmit(
         self, situation: Situation, delta: Float[Tensor, "E k C H W"]
@@ -257,7 +277,7 @@ class World:
             raise ValueError(f"a perturbation must have shape [E, k, C, H, W] = {shape}, not {tuple(delta.shape)}")
         sent = channel.norm_of(delta.detach().to(self.device), situation.norm)
         if not bool(torch.isfinite(sent).all()):
-            raise ValueError("a perturbation must be finite, but it holds NaN or infinity; check the attacker")
+            raise ValueError("a perturbation must be finite, but it holds NaN or infinity; check the attack")
         active = situation.active[:, None] & situation.present.gather(1, situation.attackers)
         if not bool((sent * active).any()):
             return situation.received, torch.zeros_like(sent).cpu().numpy()
@@ -276,7 +296,7 @@ class World:
         def perceive(pairs: list[Pair]) -> list[View]:
             world = torch.tensor([e for e, _ in pairs], device=self.device)
             groups = torch.from_numpy(self._rows([group for _, group in pairs]))
-            dense = situation.eyes().perceive(attacked, situation.coverage, world, groups.to(self.device))
+            dense = situation.ego_detector().perceive(attacked, situation.coverage, world, groups.to(self.device))
             states = [self._worlds[e] for e, _ in pairs]
             places = [ego_place(self._episode(s).scene, self._now(s)) for s in states]
             return make_views(self.detector, dense, [g for _, g in pairs], [s.frame for s in states], places)
@@ -284,7 +304,7 @@ class World:
         return perceive
 
     def _clean(self, situation: Situation) -> tuple[View, ...]:
-        """What the egos would have seen of all present without lies; the bank knows where everyone is."""
+        """The unattacked views of all present; the bank holds those of frames with everyone."""
         views = [episode.clean_views[t] for episode, t in self.places]
         few = [pair for pair in enumerate(self._present()) if pair[1] < self._everyone]
         seen = self._perceiver(situation.received, situation)(few) if few else []

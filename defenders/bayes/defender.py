@@ -1,4 +1,4 @@
-"""Bayesian adaptive group testing: a posterior over sets of liars, and the two looks a frame that tell most."""
+"""Bayesian adaptive group testing: a posterior over sets of attackers chooses the verifications of a frame."""
 
 from __future__ import annotations
 
@@ -7,30 +7,41 @@ from itertools import product
 import numpy as np
 from jaxtyping import Bool
 
-from defenders.bayes.acquisition import Aside, Look, Outlook, Reference, best_look, best_reference, outlook, safest
+from defenders.bayes.acquisition import (
+    Candidate,
+    FullView,
+    HypothesisSample,
+    Reference,
+    best_collaborators,
+    best_query,
+    best_reference,
+    sample_hypotheses,
+)
 from defenders.bayes.histograms import open_likelihood
-from defenders.bayes.likelihood import BesideTable, Likelihood
+from defenders.bayes.likelihood import FullViewTable, Likelihood
 from defenders.bayes.particles import Particles
-from defenders.bayes.posterior import STARTS, STAYS, Beside, Comparison, Posterior
+from defenders.bayes.posterior import ONSET_PROB, PERSISTENCE_PROB, Comparison, FullViewComparison, Posterior
 from defenders.protocol import Defender, Frame, Inspection, Query, Verdict, View
 
 Members = Bool[np.ndarray, " n"]
-PATIENCE = 0.95  # new references as good as the old ones but for this are preferred
-ALARM = 0.05  # probability of lies below which no look is thought of
+RENEW_MARGIN = 0.95  # new references replace the old ones if they are at least this share as good
+ALARM_PROB = 0.05  # probability of an attack below which nothing is verified
 
 
 class Bayes(Defender):
-    """Trusts nobody by rank: not the ego, not the first frame, not its own last verdict. See docs/bayes.md.
+    """Bayesian group testing. No vehicle is trusted by rank: not even the ego. See docs/bayes.md.
 
-    A frame: the free view of all present is compared with a reference; then, twice, the group whose view is expected
-    to tell most is asked for, if that is at least `worthwhile` bits, compared with the reference by which it tells most
-    and with the free view, and taken in: the second look knows what the first told. Fused are those whose view is worth
-    most under the posterior. The ego perceives that one anyway, so it is compared as well; and accused are those who
-    then lie with probability `certainty`.
+    In a frame the full view of all present, which is free, is compared with a reference. Then, up to
+    `max_verifications` times, the group with the highest expected information is verified, if that is at least
+    `min_gain_bits`. Its view is compared with the most informative reference and with the full view, and the posterior
+    is updated before the next group is chosen.
 
-    The references are the views of one earlier frame, whose honesty is part of the posterior. This frame's views
-    that are likely to be honest replace them, unless the old ones are likelier to be, by more than `PATIENCE` and by
-    more than what a reference loses with age.
+    Fused is the group with the highest expected utility under the posterior. The ego perceives that view anyway, so it
+    is compared as well. Flagged are the vehicles that then are attackers with probability `certainty`.
+
+    The references are the views of one earlier frame. Whether they are contaminated is part of the posterior. The
+    views of this frame that are probably uncontaminated replace them, unless the old ones are more likely to be, by
+    more than `RENEW_MARGIN` and by more than the discrimination that a reference loses with age.
     """
 
     def __init__(
@@ -38,36 +49,45 @@ class Bayes(Defender):
         *,
         likelihood: str | Likelihood = "calibrated",
         certainty: float = 0.99,
-        turn: float = 1e-3,
-        first: float = 1e-4,
-        worthwhile: float = 0.02,
-        looks: int = 2,
+        switch_prob: float = 1e-3,
+        initial_attack_prob: float = 1e-4,
+        min_gain_bits: float = 0.02,
+        max_verifications: int = 2,
         exact_to: int = 15,
         particles: int = 1024,
     ) -> None:
-        """ValueError for knobs out of range.
+        """Build the defender.
 
-        likelihood   "calibrated" (shipped, of the ego's fusion), "perfect" (a yes/no world), or a `Likelihood`
-        certainty    posterior probability at which a vehicle is accused, and a set of liars settled
-        turn         φ, the probability that the set of liars is another from one frame with lies to the next
-        first        the probability that liars are at work in the very first frame
-        worthwhile   bits that a look must be expected to tell to be paid for
-        looks        verifications paid for in a frame at most
-        exact_to     vehicles up to which every set has its own probability; above, `particles` stand for all
+        Args:
+            likelihood: "calibrated" (shipped, of the ego's fusion), "perfect" (a binary verifier), or a `Likelihood`.
+            certainty: Posterior probability at which a vehicle is flagged, and at which a set of attackers is final.
+            switch_prob: φ, the probability that the set of attackers changes from one frame with an attack to the next.
+            initial_attack_prob: Probability of an attack in the very first frame.
+            min_gain_bits: Expected information, in bits, below which no verification is paid for.
+            max_verifications: Verifications in a frame, at most.
+            exact_to: Vehicles up to which every set has its own probability. Above, particles represent them.
+            particles: Number of particles.
+
+        Raises:
+            ValueError: If an option is out of range.
         """
         if not 0.5 < certainty < 1:
             raise ValueError(f"certainty is a probability above 0.5 and below 1, got {certainty}")
-        for name, value in (("turn", turn), ("first", first)):
+        for name, value in (("switch_prob", switch_prob), ("initial_attack_prob", initial_attack_prob)):
             if not 0 < value < 0.5:
                 raise ValueError(f"{name} is a small probability, above 0 and below 0.5, got {value}")
-        if worthwhile < 0 or looks < 1 or particles < 2 or not 1 <= exact_to <= 20:
+        if min_gain_bits < 0 or max_verifications < 1 or particles < 2 or not 1 <= exact_to <= 20:
             raise ValueError(
-                "worthwhile must be at least 0, looks at least 1, particles at least 2 and exact_to in 1..20; got "
-                f"{worthwhile}, {looks}, {particles} and {exact_to}"
+                "min_gain_bits must be at least 0, max_verifications at least 1, particles at least 2 and exact_to in "
+                f"1..20; got {min_gain_bits}, {max_verifications}, {particles} and {exact_to}"
             )
         self.named, self.likelihood = likelihood, open_likelihood(likelihood)
-        self.certainty, self.turn, self.first = certainty, turn, first
-        self.worthwhile, self.looks, self.max_queries = worthwhile, looks, looks + 1
+        self.certainty, self.switch_prob, self.initial_attack_prob = certainty, switch_prob, initial_attack_prob
+        self.min_gain_bits, self.max_verifications, self.max_queries = (
+            min_gain_bits,
+            max_verifications,
+            max_verifications + 1,
+        )
         self.exact_to, self.particles = exact_to, particles
         self.prepared = 0  # vehicles that there are tables for
 
@@ -77,92 +97,99 @@ class Bayes(Defender):
     def reset(self, n_vehicles: int, rng: np.random.Generator) -> None:
         self.n, self.rng = n_vehicles, rng
         if n_vehicles != self.prepared:
-            self.tables, self.worth = self.likelihood.tables(n_vehicles), worth_table(self.likelihood, n_vehicles)
-            self.beside: dict[int, BesideTable] = {}  # by how many are present
+            self.tables, self.utility = self.likelihood.tables(n_vehicles), utility_table(self.likelihood, n_vehicles)
+            self.full_view_tables: dict[int, FullViewTable] = {}  # by how many are present
             self.prepared = n_vehicles
-        manners = self.likelihood.manners
+        modes = self.likelihood.modes
         self.posterior = (
-            Posterior(n_vehicles, turn=self.turn, manners=manners)
+            Posterior(n_vehicles, switch_prob=self.switch_prob, modes=modes)
             if n_vehicles <= self.exact_to
-            else Particles(n_vehicles, turn=self.turn, size=self.particles, rng=rng, manners=manners)
+            else Particles(n_vehicles, switch_prob=self.switch_prob, size=self.particles, rng=rng, modes=modes)
         )
         self.references: dict[frozenset[int], View] = {}
         self.age = 0  # of the references, frames
-        self.lying = np.full(manners, self.first / manners)  # probability of lies in the coming frame, by manner
+        self.attack_probs = np.full(modes, self.initial_attack_prob / modes)  # in the coming frame, by mode
 
     def inspect(self, frame: Frame) -> Inspection:
         here = self._members(frame.present)
         views: dict[frozenset[int], View] = {frame.present: frame.seen}
-        self.posterior.predict(self.lying)
+        self.posterior.predict(self.attack_probs)
         self.age += 1
         self._learn(frame, frame.present, frame.seen)
-        aside = Aside(here, self._beside(len(frame.present)))
-        for _ in range(self.looks):
-            if (look := self._next_look(aside, views)) is None:
+        full_view = FullView(here, self._full_view_table(len(frame.present)))
+        for _ in range(self.max_verifications):
+            if (best := self._next_query(full_view, views)) is None:
                 break
-            group = numbers(look.group)
+            group = numbers(best.group)
             (views[group],) = yield Query([group])
-            self._compare(frame, group, views[group], look.reference)
-        guilty = self.posterior.guilt() >= self.certainty
-        fused = safest(self.posterior, self.worth, guilty, here, self.rng)
+            self._compare(frame, group, views[group], best.reference)
+        flagged = self.posterior.attacker_probability() >= self.certainty
+        fused = best_collaborators(self.posterior, self.utility, flagged, here, self.rng)
         collaborators = numbers(fused)
         if collaborators not in views:
             (views[collaborators],) = yield Query([collaborators], verification=False)  # the output of this frame
-            self._learn(frame, collaborators, views[collaborators], aside)
-        suspects = numbers(self.posterior.guilt() >= self.certainty) - collaborators
+            self._learn(frame, collaborators, views[collaborators], full_view)
+        suspects = numbers(self.posterior.attacker_probability() >= self.certainty) - collaborators
         verdict = Verdict(collaborators, suspects, self.posterior.likeliest() >= self.certainty)
         self._end(views)
         return verdict
 
     def belief(self) -> np.ndarray:
-        return np.clip(self.posterior.guilt(), 0, 1)
+        return np.clip(self.posterior.attacker_probability(), 0, 1)
 
-    def _outlook(self) -> Outlook:
-        return outlook(self.posterior, self.rng, 512)
+    def _hypotheses(self) -> HypothesisSample:
+        return sample_hypotheses(self.posterior, self.rng, 512)
 
-    def _beside(self, present: int) -> BesideTable:
-        if present not in self.beside:
-            self.beside[present] = BesideTable(self.likelihood, present)
-        return self.beside[present]
+    def _full_view_table(self, present: int) -> FullViewTable:
+        if present not in self.full_view_tables:
+            self.full_view_tables[present] = FullViewTable(self.likelihood, present)
+        return self.full_view_tables[present]
 
-    def _sources(self, aside: Aside | None = None) -> list[Reference]:
+    def _sources(self, full_view: FullView | None = None) -> list[Reference]:
         table = self.tables[min(self.age, len(self.tables)) - 1]
-        return [Reference(self._members(group), table, aside) for group in self.references]
+        return [Reference(self._members(group), table, full_view) for group in self.references]
 
-    def _next_look(self, aside: Aside, views: dict[frozenset[int], View]) -> Look | None:
-        """The group to pay for, or None where none would tell enough; surely so where nobody lies."""
-        unseen = 2 ** int(aside.present.sum()) - 1 - len(views)
-        if not self.references or not unseen or self.posterior.lies().sum() < ALARM:
+    def _next_query(self, full_view: FullView, views: dict[frozenset[int], View]) -> Candidate | None:
+        """The group to verify next; None where none is informative enough or an attack is improbable."""
+        unseen = 2 ** int(full_view.present.sum()) - 1 - len(views)
+        if not self.references or not unseen or self.posterior.attack_probs().sum() < ALARM_PROB:
             return None
         seen = np.array([self._members(group) for group in views])
-        best = best_look(self._sources(aside), self._outlook(), aside.present, seen, self.rng)
-        return best if best.gain >= self.worthwhile else None
+        best = best_query(self._sources(full_view), self._hypotheses(), full_view.present, seen, self.rng)
+        return best if best.gain >= self.min_gain_bits else None
 
-    def _learn(self, frame: Frame, group: frozenset[int], view: View, aside: Aside | None = None) -> None:
-        """Compare a view with the reference by which it tells most, and with the free view where it is another."""
+    def _learn(self, frame: Frame, group: frozenset[int], view: View, full_view: FullView | None = None) -> None:
+        """Compare a view with its most informative reference, and with the full view where that is another."""
         if self.references:
-            reference = best_reference(self._members(group), self._sources(aside), self._outlook())
+            reference = best_reference(self._members(group), self._sources(full_view), self._hypotheses())
             self._compare(frame, group, view, reference)
 
     def _compare(self, frame: Frame, group: frozenset[int], view: View, reference: Reference) -> None:
         similarity = frame.similarity(view, self.references[numbers(reference.group)])
         found = self.likelihood.bin(similarity)
         self.posterior.update(Comparison(self._members(group), reference.group, reference.table, found))
-        if (aside := reference.aside) is not None:
-            found = self.likelihood.bin(frame.similarity(view, frame.seen), beside=True)
-            self.posterior.update(Beside(self._members(group), aside.present, aside.table, found))
+        if (full_view := reference.full_view) is not None:
+            found = self.likelihood.bin(frame.similarity(view, frame.seen), full_view=True)
+            self.posterior.update(FullViewComparison(self._members(group), full_view.present, full_view.table, found))
 
     def _end(self, views: dict[frozenset[int], View]) -> None:
-        """Keep the references or renew them: by views that are likely to be honest."""
-        clean = {group: self.posterior.clean(self._members(group), now=True) for group in views}
-        old = max((self.posterior.clean(self._members(g), now=False) for g in self.references), default=0.0)
-        best = max(clean.values())
-        renew = best * self.likelihood.power(1) >= PATIENCE * old * self.likelihood.power(self.age + 1)
-        start = STARTS / self.likelihood.manners
-        self.lying = start + (STAYS[: self.likelihood.manners] - start) * self.posterior.lies()
+        """Keep the references, or replace them by views that are probably uncontaminated."""
+        uncontaminated = {
+            group: self.posterior.uncontaminated_probability(self._members(group), now=True) for group in views
+        }
+        old = max(
+            (self.posterior.uncontaminated_probability(self._members(g), now=False) for g in self.references),
+            default=0.0,
+        )
+        best = max(uncontaminated.values())
+        renew = best * self.likelihood.discrimination(1) >= RENEW_MARGIN * old * self.likelihood.discrimination(
+            self.age + 1
+        )
+        start = ONSET_PROB / self.likelihood.modes
+        self.attack_probs = start + (PERSISTENCE_PROB[: self.likelihood.modes] - start) * self.posterior.attack_probs()
         self.posterior.advance(renew)
         if renew:
-            self.references = {group: view for group, view in views.items() if clean[group] >= best / 2}
+            self.references = {group: view for group, view in views.items() if uncontaminated[group] >= best / 2}
             self.age = 0
 
     def _members(self, group: frozenset[int]) -> Members:
@@ -172,15 +199,15 @@ class Bayes(Defender):
 
 
 def numbers(members: Members) -> frozenset[int]:
-    """Numbers of the vehicles that are members."""
+    """Numbers of the members."""
     return frozenset(np.flatnonzero(members).tolist())
 
 
-def worth_table(likelihood: Likelihood, n: int) -> np.ndarray:
-    """`worth[manner, size, liars]` of a view; the last column, -1, is a glitch: no group is better than another."""
-    table = np.zeros((likelihood.manners + 1, n + 1, n + 2))
-    for manner, size in product(range(likelihood.manners + 1), range(1, n + 1)):
-        worth = [likelihood.worth(size, liars, manner) for liars in range(size + 1 if manner else 1)]
-        table[manner, size, : len(worth)] = worth
-    table[:, 1:, -1] = likelihood.worth(1, 0)
+def utility_table(likelihood: Likelihood, n: int) -> np.ndarray:
+    """`utility[mode, size, attackers]` of a view. The last column, -1, is an outlier: all groups are equal."""
+    table = np.zeros((likelihood.modes + 1, n + 1, n + 2))
+    for mode, size in product(range(likelihood.modes + 1), range(1, n + 1)):
+        utility = [likelihood.utility(size, attackers, mode) for attackers in range(size + 1 if mode else 1)]
+        table[mode, size, : len(utility)] = utility
+    table[:, 1:, -1] = likelihood.utility(1, 0)
     return table

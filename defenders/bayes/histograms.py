@@ -1,4 +1,4 @@
-"""Densities of similarities as they were measured: a file of histograms for a fusion."""
+"""Measured densities of similarities: a file of histograms for each fusion."""
 
 from __future__ import annotations
 
@@ -11,107 +11,134 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from defenders.bayes.likelihood import Likelihood, Row, Verifier, liars_in_groups, liars_in_one, overlaps
+from defenders.bayes.likelihood import Likelihood, Row, Verifier, attackers_in_groups, attackers_in_one, overlaps
 
 CALIBRATED = Path(__file__).with_name("densities")
 DEFAULT = "mean"
-"""The fusion whose densities serve until a defender is told of another, and for one that has no file."""
-FADES = 0.95  # what a reference older than was measured keeps of its power with every frame
+"""The fusion whose densities serve until a defender is configured for another, and for a fusion without a file."""
+FADES = 0.95  # share of its discrimination that a reference older than was measured keeps with every frame
 
 
 class Calibrated(Likelihood):
     """Densities measured on calibration scenes, with heavy tails, for fleets of any size.
 
-    Of every density a share `tail` is replaced by the mean of all: no similarity, however odd, speaks for one kind of
-    comparison against another by more than a bounded ratio. Where nothing was measured:
+    Of every density a share `tail` is replaced by the mean of all. So no similarity, however unusual, favours one kind
+    of comparison over another by more than a bounded ratio. Where nothing was measured:
 
-    * a clean view of more vehicles than measured counts as one of the most measured, sharing as large a part; so does
-      what a lie is compared with;
-    * beside the free view of as many vehicles as were not measured, sizes and numbers of liars count in proportion;
-    * d liars among more vehicles than measured, m, count as d m / size among m, rounded; where that is below one, the
-      lie may be too dilute to show: so much of the density of one liar among m, and the rest of none;
-    * lies of one manner beside lies of another resemble each other as those of the first do.
+    * An uncontaminated view of more vehicles than measured counts as one of the most measured, with the same share in
+      common. So does an uncontaminated view that a contaminated one is compared with.
+    * Against a full view of a size that was not measured, sizes and numbers of attackers count in proportion.
+    * d attackers among more vehicles than measured, m, count as d m / size among m, rounded. Where that is below one,
+      the perturbation may be too dilute to show: the density is that of one attacker among m with this weight, and of
+      none with the rest.
+    * Two attacks of different modes resemble each other as two attacks of the lower mode do.
     """
 
     def __init__(
         self,
         edges: Float[np.ndarray, " E"],
-        clean: Sequence[Mapping[tuple[int, int, int], Row]],
-        dirty: Sequence[Mapping[tuple[int, int, int], Row]],
-        both: Sequence[Mapping[tuple[int, int], Row]],
-        beside_edges: Float[np.ndarray, " F"],
-        beside: Sequence[Mapping[tuple[int, int, int], Float[np.ndarray, " C"]]],
+        uncontaminated: Sequence[Mapping[tuple[int, int, int], Row]],
+        one_contaminated: Sequence[Mapping[tuple[int, int, int], Row]],
+        both_contaminated: Sequence[Mapping[tuple[int, int], Row]],
+        full_view_edges: Float[np.ndarray, " F"],
+        full_view: Sequence[Mapping[tuple[int, int, int], Float[np.ndarray, " C"]]],
         *,
         tail: float,
     ) -> None:
-        """Histograms, else ValueError: `clean[age - 1][size, reference, shared]`, and for each manner of lies
-        `dirty[manner - 1][size, liars, other]`, `both[…][size, other]` and `beside[…][size, liars, lying]`.
+        """Check the histograms and mix in the tails.
+
+        Args:
+            edges: Bounds of the bins of a similarity to a reference.
+            uncontaminated: `uncontaminated[age - 1][size, reference, shared]`.
+            one_contaminated: `one_contaminated[mode - 1][size, attackers, other]`.
+            both_contaminated: `both_contaminated[mode - 1][size, other]`.
+            full_view_edges: Bounds of the bins of a similarity to the full view.
+            full_view: `full_view[mode - 1][size, attackers, total_attackers]`.
+            tail: Share of every density that is the mean of all.
+
+        Raises:
+            ValueError: If a histogram is missing or is no histogram.
         """
-        most = max((size for of in dirty for size, _, _ in of), default=0)
-        for bounds in (edges, beside_edges):
+        most = max((size for of in one_contaminated for size, _, _ in of), default=0)
+        for bounds in (edges, full_view_edges):
             if not (bounds[0] == 0 and bounds[-1] == 1 and (np.diff(bounds) > 0).all()):
                 raise ValueError(f"edges must rise from 0 to 1, got {bounds.tolist()}")
         if not 0 < tail < 1:
             raise ValueError(f"tail is the share of every density that is the mean of all, between 0 and 1, got {tail}")
-        if not clean or any(set(of) != set(overlaps(most)) for of in clean):
-            raise ValueError(f"honest views of every two groups of {most} vehicles must be measured; calibrate again")
-        if not len(dirty) == len(both) == len(beside) or any(set(of) != set(liars_in_one(most)) for of in dirty):
-            raise ValueError(f"any number of liars among {most} vehicles must be measured, in each manner")
-        if any(set(of) != set(product(range(1, most + 1), repeat=2)) for of in both):
-            raise ValueError(f"lies must be compared with lies for all sizes up to {most}; calibrate again")
-        if any(set(of) != set(liars_in_groups(most)) for of in beside):
+        if not uncontaminated or any(set(of) != set(overlaps(most)) for of in uncontaminated):
             raise ValueError(
-                f"views of all groups of {most} vehicles beside that of all must be measured; calibrate again"
+                f"uncontaminated views of every two groups of {most} vehicles must be measured; calibrate again"
             )
-        honest, lying = _stacked(clean), _stacked(dirty)
-        for cells in (np.concatenate([honest, lying, _stacked(both)]), _stacked(beside)):
+        if not len(one_contaminated) == len(both_contaminated) == len(full_view) or any(
+            set(of) != set(attackers_in_one(most)) for of in one_contaminated
+        ):
+            raise ValueError(f"any number of attackers among {most} vehicles must be measured, in each mode")
+        if any(set(of) != set(product(range(1, most + 1), repeat=2)) for of in both_contaminated):
+            raise ValueError(
+                f"contaminated views of all sizes up to {most} must be compared with each other; calibrate again"
+            )
+        if any(set(of) != set(attackers_in_groups(most)) for of in full_view):
+            raise ValueError(
+                f"views of all groups of {most} vehicles must be compared with the full view; calibrate again"
+            )
+        benign_rows, contaminated_rows = _stacked(uncontaminated), _stacked(one_contaminated)
+        for cells in (
+            np.concatenate([benign_rows, contaminated_rows, _stacked(both_contaminated)]),
+            _stacked(full_view),
+        ):
             if not (np.isfinite(cells).all() and (cells >= 0).all() and np.allclose(cells.sum(1), 1, atol=1e-3)):
                 raise ValueError("every density must be a histogram that sums to one; calibrate again")
-        self.edges, self.oldest, self.most, self.manners = edges, len(clean), most, len(dirty)
-        self.tail, self.middle = tail, _normalised(honest.mean(0) + lying.mean(0))
-        self._clean = [{kind: self._tailed(row, self.middle) for kind, row in of.items()} for of in clean]
-        self._dirty = [{kind: self._tailed(row, self.middle) for kind, row in of.items()} for of in dirty]
-        self._both = [{kind: self._tailed(row, self.middle) for kind, row in of.items()} for of in both]
-        self.beside_edges, middle = beside_edges, _stacked(beside).mean(0)
-        self._beside = [{kind: self._tailed(row, middle) for kind, row in of.items()} for of in beside]
+        self.edges, self.oldest, self.most, self.modes = edges, len(uncontaminated), most, len(one_contaminated)
+        self.tail, self.middle = tail, _normalised(benign_rows.mean(0) + contaminated_rows.mean(0))
+        self._uncontaminated = [
+            {kind: self._tailed(row, self.middle) for kind, row in of.items()} for of in uncontaminated
+        ]
+        self._one_contaminated = [
+            {kind: self._tailed(row, self.middle) for kind, row in of.items()} for of in one_contaminated
+        ]
+        self._both_contaminated = [
+            {kind: self._tailed(row, self.middle) for kind, row in of.items()} for of in both_contaminated
+        ]
+        self.full_view_edges, middle = full_view_edges, _stacked(full_view).mean(0)
+        self._full_view = [{kind: self._tailed(row, middle) for kind, row in of.items()} for of in full_view]
 
-    def clean(self, size: int, reference: int, shared: int, age: int) -> Row:
+    def uncontaminated(self, size: int, reference: int, shared: int, age: int) -> Row:
         one, other = min(size, self.most), min(reference, self.most)
         common = round(shared * min(one, other) / min(size, reference))
         common = max(common, one + other - self.most)
-        return self._clean[min(age, self.oldest) - 1][one, other, common]
+        return self._uncontaminated[min(age, self.oldest) - 1][one, other, common]
 
-    def dirty(self, size: int, liars: int, other: int, manner: int = 1) -> Row:
+    def one_contaminated(self, size: int, attackers: int, other: int, mode: int = 1) -> Row:
         other = min(other, self.most)
         if size <= self.most:
-            return self._dirty[manner - 1][size, liars, other]
-        diluted = liars * self.most / size
+            return self._one_contaminated[mode - 1][size, attackers, other]
+        diluted = attackers * self.most / size
         if diluted >= 1:
-            return self.dirty(self.most, round(diluted), other, manner)
-        none = self.clean(self.most, other, other, 1)
-        return diluted * self.dirty(self.most, 1, other, manner) + (1 - diluted) * none
+            return self.one_contaminated(self.most, round(diluted), other, mode)
+        none = self.uncontaminated(self.most, other, other, 1)
+        return diluted * self.one_contaminated(self.most, 1, other, mode) + (1 - diluted) * none
 
-    def both(self, size: int, other: int, manner: int = 1, its: int = 1) -> Row:
-        return self._both[min(manner, its) - 1][min(size, self.most), min(other, self.most)]
+    def both_contaminated(self, size: int, other: int, mode: int = 1, other_mode: int = 1) -> Row:
+        return self._both_contaminated[min(mode, other_mode) - 1][min(size, self.most), min(other, self.most)]
 
-    def power(self, age: int) -> float:
-        return super().power(age) * FADES ** max(age - self.oldest, 0)
+    def discrimination(self, age: int) -> float:
+        return super().discrimination(age) * FADES ** max(age - self.oldest, 0)
 
-    def beside(self, size: int, liars: int, everyone: int, lying: int, manner: int = 1) -> Row:
-        share, known = self.most / everyone, self._beside[manner - 1]
+    def full_view(self, size: int, attackers: int, everyone: int, total_attackers: int, mode: int = 1) -> Row:
+        share, known = self.most / everyone, self._full_view[mode - 1]
         one = min(max(round(size * share), 1), self.most - 1)
-        all_lies = min(max(round(lying * share), int(lying > 0)), self.most - 1)
-        if not liars:
-            return known[one, 0, min(all_lies, self.most - one)]
-        least, most = max(one + all_lies - self.most, 1), min(one, all_lies)
-        return known[one, min(max(round(liars * share), least), most), all_lies]
+        total = min(max(round(total_attackers * share), int(total_attackers > 0)), self.most - 1)
+        if not attackers:
+            return known[one, 0, min(total, self.most - one)]
+        least, most = max(one + total - self.most, 1), min(one, total)
+        return known[one, min(max(round(attackers * share), least), most), total]
 
-    def worth(self, size: int, liars: int, manner: int = 1) -> float:
-        """The mean of the density; beyond the sizes measured, what a clean view lacks shrinks as 1 / size."""
+    def utility(self, size: int, attackers: int, mode: int = 1) -> float:
+        """Mean of the density. Beyond the measured sizes, what an uncontaminated view lacks shrinks as 1 / size."""
         middle = (self.edges[1:] + self.edges[:-1]) / 2
-        if liars:
-            return float(self.dirty(size, liars, max(size, self.most), manner) @ middle)
-        lack = 1 - float(self.clean(size, max(size, self.most), size, 1) @ middle)
+        if attackers:
+            return float(self.one_contaminated(size, attackers, max(size, self.most), mode) @ middle)
+        lack = 1 - float(self.uncontaminated(size, max(size, self.most), size, 1) @ middle)
         return 1 - lack * min(1.0, self.most / size)
 
     def _tailed(self, row: Row, middle: Row) -> Row:
@@ -127,7 +154,16 @@ def _stacked(densities: Sequence[Mapping[Any, Row]]) -> Float[np.ndarray, "R B"]
 
 
 def open_likelihood(likelihood: str | Likelihood, fusion: str = DEFAULT) -> Likelihood:
-    """`"calibrated"`: the shipped densities of a fusion; `"perfect"`: a yes/no world; or a finished likelihood."""
+    """Open the densities that a defender is built with.
+
+    Args:
+        likelihood: `"calibrated"`, the shipped densities of the fusion; `"perfect"`, a binary verifier; or a finished
+            `Likelihood`.
+        fusion: How the ego fuses. A fusion without a file takes that of `DEFAULT`.
+
+    Raises:
+        ValueError: For another name.
+    """
     if isinstance(likelihood, Likelihood):
         return likelihood
     if likelihood == "perfect":
@@ -139,7 +175,11 @@ def open_likelihood(likelihood: str | Likelihood, fusion: str = DEFAULT) -> Like
 
 
 def read_likelihood(path: Path) -> Calibrated:
-    """Read what `examples/calibrate_likelihood.py` writes; ValueError naming the file where it is missing or broken."""
+    """Read what `examples/calibrate_likelihood.py` writes.
+
+    Raises:
+        ValueError: If the file is missing or broken. The message names it.
+    """
     try:
         stored: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         n = int(stored["n_vehicles"])
@@ -149,11 +189,11 @@ def read_likelihood(path: Path) -> Calibrated:
 
         return Calibrated(
             np.array(stored["edges"], dtype=float),
-            by_kind("clean", overlaps(n)),
-            by_kind("dirty", liars_in_one(n)),
-            by_kind("both", list(product(range(1, n + 1), repeat=2))),
-            np.array(stored["beside_edges"], dtype=float),
-            by_kind("beside", liars_in_groups(n)),
+            by_kind("uncontaminated", overlaps(n)),
+            by_kind("one_contaminated", attackers_in_one(n)),
+            by_kind("both_contaminated", list(product(range(1, n + 1), repeat=2))),
+            np.array(stored["full_view_edges"], dtype=float),
+            by_kind("full_view", attackers_in_groups(n)),
             tail=float(stored["tail"]),
         )
     except FileNotFoundError as error:

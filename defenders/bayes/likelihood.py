@@ -1,14 +1,15 @@
-"""How probable is a similarity, given how many vehicles were fused and how many of them lied?
+"""Densities of the similarity of two views, given how many vehicles were fused and how many of them attacked.
 
 A *comparison* is the similarity, Eq. (5), of a group's view to a reference: an earlier view of some group. Its density
-depends on the sizes of both, on how many liars were at work in each, and on how old the reference is. A group's view
-is also compared with the free one of the same frame, of everyone present: *beside* it. Where liars are at work that one
-is a lie, which the views of those who tell it resemble and the views of others do not, whatever any reference is worth.
-Similarities are binned, so a density is a row of probabilities, one for each bin.
+depends on the sizes of both groups, on the number of active attackers in each, and on the age of the reference. A view
+is *contaminated* if an active attacker is in its group.
 
-Lies have a *manner*, a number from 1 on. Those of the first show in any view they are in. Those of the second are made
-to resemble the frame before: everyone's view gives nothing away, and only the views of those who do not lie do.
-"""
+A group's view is also compared with the *full view* of the same frame, of everyone present. While attackers are active
+the full view is contaminated. Contaminated views resemble it and uncontaminated views do not, whatever any reference
+is worth. Similarities are binned, so a density is a row of probabilities, one for each bin.
+
+Attacks have a *mode*, a number from 1 on. A loud attack (mode 1) shows in every view that contains it. A stealthy
+attack (mode 2) keeps the full view similar to the frame before. Only uncontaminated views reveal it."""
 
 from __future__ import annotations
 
@@ -19,7 +20,8 @@ from itertools import product
 import numpy as np
 from jaxtyping import Float, Int
 
-ODD = 0.3  # of a glitch's density beside the free view, the share in which its views do not even resemble each other
+OUTLIER_MIX = 0.3
+"""Share of an outlier's density against the full view in which not even views of the same frame resemble each other."""
 
 Row = Float[np.ndarray, " B"]
 Counts = Int[np.ndarray, "..."]
@@ -29,57 +31,95 @@ class Likelihood(ABC):
     """Densities of the similarity of a view to a reference. `edges` bound the bins, from 0 to 1."""
 
     edges: Float[np.ndarray, " E"]
-    beside_edges: Float[np.ndarray, " F"]  # of the bins of a similarity to the free view
+    full_view_edges: Float[np.ndarray, " F"]  # of the bins of a similarity to the full view
     oldest: int  # frames; an older reference counts as one of this age
     most: int  # vehicles; what is compared with a larger view counts as compared with one of so many
-    manners: int = 1  # of lies
+    modes: int = 1  # of attack
 
     @abstractmethod
-    def clean(self, size: int, reference: int, shared: int, age: int) -> Row:
-        """Nobody lies in the view of `size` vehicles, nor in the reference of `reference`, `shared` of them the same.
+    def uncontaminated(self, size: int, reference: int, shared: int, age: int) -> Row:
+        """Density where no attacker is active in either view.
 
-        The reference is `age` frames old.
+        Args:
+            size: Vehicles in the view.
+            reference: Vehicles in the reference.
+            shared: Vehicles in both.
+            age: Frames between the reference and the view.
+
+        Returns:
+            A probability for each bin.
         """
 
     @abstractmethod
-    def dirty(self, size: int, liars: int, other: int, manner: int = 1) -> Row:
-        """`liars` of `size` vehicles lie in one of the two views compared, nobody in the other, of `other` vehicles."""
+    def one_contaminated(self, size: int, attackers: int, other: int, mode: int = 1) -> Row:
+        """Density where attackers are active in one of the two views.
+
+        Args:
+            size: Vehicles in the contaminated view.
+            attackers: Active attackers among them.
+            other: Vehicles in the uncontaminated view.
+            mode: Mode of the attack.
+
+        Returns:
+            A probability for each bin.
+        """
 
     @abstractmethod
-    def both(self, size: int, other: int, manner: int = 1, its: int = 1) -> Row:
-        """Somebody lies in both, of `size` and `other` vehicles, in this manner and in `its`."""
+    def both_contaminated(self, size: int, other: int, mode: int = 1, other_mode: int = 1) -> Row:
+        """Density where attackers are active in both views.
+
+        Args:
+            size: Vehicles in the one view.
+            other: Vehicles in the other view.
+            mode: Mode of the attack in the one view.
+            other_mode: Mode of the attack in the other view.
+
+        Returns:
+            A probability for each bin.
+        """
 
     @abstractmethod
-    def beside(self, size: int, liars: int, everyone: int, lying: int, manner: int = 1) -> Row:
-        """Of a view of `size` vehicles, `liars` of which lie, to the free one of `everyone`, `lying` of which do."""
+    def full_view(self, size: int, attackers: int, everyone: int, total_attackers: int, mode: int = 1) -> Row:
+        """Density of the similarity of a group's view to the full view of the same frame.
+
+        Args:
+            size: Vehicles in the group.
+            attackers: Active attackers in the group.
+            everyone: Vehicles in the full view.
+            total_attackers: Active attackers in the full view.
+            mode: Mode of the attack.
+
+        Returns:
+            A probability for each bin of `full_view_edges`.
+        """
 
     @abstractmethod
-    def worth(self, size: int, liars: int, manner: int = 1) -> float:
-        """What a view is good for, in [0, 1]: its expected similarity to what an honest ego would see."""
+    def utility(self, size: int, attackers: int, mode: int = 1) -> float:
+        """Utility of a view, in [0, 1]: its expected similarity to what an unattacked ego would perceive."""
 
-    def glitch(self, size: int, other: int, manner: int = 1) -> Row:
-        """Nobody lies, and yet lies seem to show, whoever is in the two views: as if liars were drawn anew each time.
+    def outlier(self, size: int, other: int, mode: int = 1) -> Row:
+        """Density of an outlier: nobody attacks, and yet an attack seems to show, whoever is in the two views.
 
-        Sizes are of at most `most` vehicles.
+        It is the density that results if the attackers were drawn anew for every comparison. Sizes are at most `most`.
         """
         shared = range(max(size + other - self.most, 0), min(size, other) + 1)
         kinds = [
-            [self.clean(size, other, both, 1) for both in shared],
-            [self.dirty(size, liars, other, manner) for liars in range(1, size + 1)],
-            [self.dirty(other, liars, size, manner) for liars in range(1, other + 1)],
-            [self.both(size, other, manner, manner)],
+            [self.uncontaminated(size, other, both, 1) for both in shared],
+            [self.one_contaminated(size, attackers, other, mode) for attackers in range(1, size + 1)],
+            [self.one_contaminated(other, attackers, size, mode) for attackers in range(1, other + 1)],
+            [self.both_contaminated(size, other, mode, mode)],
         ]
         row: Row = np.mean([np.mean(rows, axis=0) for rows in kinds], axis=0)
         return row
 
-    def power(self, age: int) -> float:
-        """How well a reference of this age tells a liar: total variation of what one liar and none show."""
-        one, none = self.dirty(1, 1, 1), self.clean(1, 1, 1, age)
+    def discrimination(self, age: int) -> float:
+        """Discrimination of a reference of this age: total variation between the densities of one attacker and none."""
+        one, none = self.one_contaminated(1, 1, 1), self.uncontaminated(1, 1, 1, age)
         return float(np.abs(one - none).sum() / 2)
 
-    def bin(self, similarity: float, *, beside: bool = False) -> int:
-        """The bin a similarity falls into; those outside [0, 1] fall into the first or the last."""
-        edges = self.beside_edges if beside else self.edges
+    def bin(self, similarity: float, *, full_view: bool = False) -> int:
+        """The bin of a similarity. Values outside [0, 1] belong to the first or the last bin."""
+        edges = self.full_view_edges if full_view else self.edges
         return int(np.searchsorted(edges[1:-1], similarity, side="right"))
 
     def tables(self, n: int) -> tuple[Table, ...]:
@@ -88,27 +128,31 @@ class Likelihood(ABC):
 
 
 class Table:
-    """All densities a fleet of `n` can meet, as rows, and which row a comparison belongs to."""
+    """All densities that a fleet of `n` can meet, as rows, and the row of every comparison."""
 
     def __init__(self, likelihood: Likelihood, n: int, age: int) -> None:
         self._rows: list[Row] = []
         self._known: dict[bytes, int] = {}
         self._most = most = min(n, likelihood.most)
-        self.manners = manners = likelihood.manners
-        self._glitch = np.zeros((manners + 1, most + 1, most + 1), dtype=np.int64)
-        self._clean = np.zeros((n + 1, n + 1, n + 1), dtype=np.int64)
-        self._dirty = np.zeros((manners + 1, n + 1, n + 1, most + 1), dtype=np.int64)
-        self._both = np.zeros((manners + 1, manners + 1, most + 1, most + 1), dtype=np.int64)
+        self.modes = modes = likelihood.modes
+        self._outlier = np.zeros((modes + 1, most + 1, most + 1), dtype=np.int64)
+        self._uncontaminated = np.zeros((n + 1, n + 1, n + 1), dtype=np.int64)
+        self._one_contaminated = np.zeros((modes + 1, n + 1, n + 1, most + 1), dtype=np.int64)
+        self._both_contaminated = np.zeros((modes + 1, modes + 1, most + 1, most + 1), dtype=np.int64)
         for size, other, shared in overlaps(n):
-            self._clean[size, other, shared] = self._add(likelihood.clean(size, other, shared, age))
-        of_lies, one_of_most = range(1, manners + 1), range(1, most + 1)
-        for manner, size, other in product(of_lies, range(1, n + 1), one_of_most):
-            for liars in range(1, size + 1):
-                self._dirty[manner, size, liars, other] = self._add(likelihood.dirty(size, liars, other, manner))
-        for manner, size, other in product(of_lies, one_of_most, one_of_most):
-            self._glitch[manner, size, other] = self._add(likelihood.glitch(size, other, manner))
-        for manner, its, size, other in product(of_lies, of_lies, one_of_most, one_of_most):
-            self._both[manner, its, size, other] = self._add(likelihood.both(size, other, manner, its))
+            self._uncontaminated[size, other, shared] = self._add(likelihood.uncontaminated(size, other, shared, age))
+        each_mode, one_of_most = range(1, modes + 1), range(1, most + 1)
+        for mode, size, other in product(each_mode, range(1, n + 1), one_of_most):
+            for attackers in range(1, size + 1):
+                self._one_contaminated[mode, size, attackers, other] = self._add(
+                    likelihood.one_contaminated(size, attackers, other, mode)
+                )
+        for mode, size, other in product(each_mode, one_of_most, one_of_most):
+            self._outlier[mode, size, other] = self._add(likelihood.outlier(size, other, mode))
+        for mode, other_mode, size, other in product(each_mode, each_mode, one_of_most, one_of_most):
+            self._both_contaminated[mode, other_mode, size, other] = self._add(
+                likelihood.both_contaminated(size, other, mode, other_mode)
+            )
         self.density: Float[np.ndarray, "R B"] = np.array(self._rows)
         self.entropy = entropy(self.density)
 
@@ -121,62 +165,75 @@ class Table:
     def rows(
         self,
         size: int | Counts,
-        liars: Counts,
+        attackers: Counts,
         reference: int,
-        its_liars: Counts,
+        reference_attackers: Counts,
         shared: int | Counts,
-        manner: int | Counts = 1,
-        its_manner: int | Counts = 1,
+        mode: int | Counts = 1,
+        reference_mode: int | Counts = 1,
     ) -> Counts:
-        """Rows of `density`, given liars at work in the view and in the reference, and the manner of the lies in each.
+        """Rows of `density` for comparisons of one view with one reference.
 
-        -1 liars stand for a glitch.
+        Args:
+            size: Vehicles in the view.
+            attackers: Active attackers in the view; -1 for an outlier.
+            reference: Vehicles in the reference.
+            reference_attackers: Active attackers in the reference; -1 for an outlier.
+            shared: Vehicles in both.
+            mode: Mode of the attack in the view.
+            reference_mode: Mode of the attack in the reference.
         """
         one, other = np.minimum(size, self._most), min(reference, self._most)
         row = np.where(
-            liars > 0, self._dirty[manner, size, liars, other], self._dirty[its_manner, reference, its_liars, one]
+            attackers > 0,
+            self._one_contaminated[mode, size, attackers, other],
+            self._one_contaminated[reference_mode, reference, reference_attackers, one],
         )
-        row = np.where((liars == 0) & (its_liars == 0), self._clean[size, reference, shared], row)
-        row = np.where((liars > 0) & (its_liars > 0), self._both[manner, its_manner, one, other], row)
-        glitch = self._glitch[np.where(liars < 0, manner, its_manner), one, other]
-        return np.where((liars < 0) | (its_liars < 0), glitch, row)
+        row = np.where(
+            (attackers == 0) & (reference_attackers == 0), self._uncontaminated[size, reference, shared], row
+        )
+        row = np.where(
+            (attackers > 0) & (reference_attackers > 0), self._both_contaminated[mode, reference_mode, one, other], row
+        )
+        outlier = self._outlier[np.where(attackers < 0, mode, reference_mode), one, other]
+        return np.where((attackers < 0) | (reference_attackers < 0), outlier, row)
 
 
-class BesideTable:
-    """All densities of a similarity to the free view of `everyone`, as rows, and which row belongs to a group."""
+class FullViewTable:
+    """All densities of a similarity to the full view of `everyone`, as rows, and the row of every group."""
 
     def __init__(self, likelihood: Likelihood, everyone: int) -> None:
         rows: list[Row] = []
-        self.manners = manners = likelihood.manners
-        self._row = np.zeros((manners + 1, everyone + 1, everyone + 1, everyone + 1), dtype=np.int64)
-        self._glitch = np.zeros((manners + 1, everyone + 1), dtype=np.int64)
-        for manner, size in product(range(1, manners + 1), range(1, everyone + 1)):
+        self.modes = modes = likelihood.modes
+        self._row = np.zeros((modes + 1, everyone + 1, everyone + 1, everyone + 1), dtype=np.int64)
+        self._outlier = np.zeros((modes + 1, everyone + 1), dtype=np.int64)
+        for mode, size in product(range(1, modes + 1), range(1, everyone + 1)):
             first = len(rows)
-            for lying in range(everyone + 1):
-                for liars in range(max(size + lying - everyone, 0), min(size, lying) + 1):
-                    self._row[manner, size, liars, lying] = len(rows)
-                    rows.append(likelihood.beside(size, liars, everyone, lying, manner))
-            self._glitch[manner, size] = len(rows)
-            rows.append((1 - ODD) * rows[first] + ODD * np.mean(rows[first:], axis=0))
+            for total_attackers in range(everyone + 1):
+                for attackers in range(max(size + total_attackers - everyone, 0), min(size, total_attackers) + 1):
+                    self._row[mode, size, attackers, total_attackers] = len(rows)
+                    rows.append(likelihood.full_view(size, attackers, everyone, total_attackers, mode))
+            self._outlier[mode, size] = len(rows)
+            rows.append((1 - OUTLIER_MIX) * rows[first] + OUTLIER_MIX * np.mean(rows[first:], axis=0))
         self.density: Float[np.ndarray, "R B"] = np.array(rows)
         self.entropy = entropy(self.density)
 
-    def rows(self, size: int | Counts, liars: Counts, lying: Counts, manner: int | Counts = 1) -> Counts:
-        """Rows of `density`; -1 lying stand for a glitch."""
-        manner = np.maximum(manner, 1)
-        row = self._row[manner, size, np.maximum(liars, 0), np.maximum(lying, 0)]
-        return np.where(lying < 0, self._glitch[manner, size], row)
+    def rows(self, size: int | Counts, attackers: Counts, total_attackers: Counts, mode: int | Counts = 1) -> Counts:
+        """Rows of `density`. `total_attackers` = -1 stands for an outlier."""
+        mode = np.maximum(mode, 1)
+        row = self._row[mode, size, np.maximum(attackers, 0), np.maximum(total_attackers, 0)]
+        return np.where(total_attackers < 0, self._outlier[mode, size], row)
 
 
 @dataclass(frozen=True, eq=False)
 class Verifier(Likelihood):
-    """A yes/no world: alike (1) when nobody lies in either view, else not (0), with the given rates of error.
+    """Likelihood of a binary verifier: similar (1) if neither view is contaminated, else dissimilar (0), with errors.
 
-    A view of a larger clean group is worth a little more, as it sees more: 1 - 1 / (2 size).
+    A larger uncontaminated group has a slightly higher utility, as it sees more: 1 - 1 / (2 size).
     """
 
-    false_fail: float = 1e-3  # an honest group fails
-    false_pass: float = 1e-3  # a group with a liar passes
+    false_fail: float = 1e-3  # a benign group fails
+    false_pass: float = 1e-3  # a group with an attacker passes
 
     def __post_init__(self) -> None:
         for name in ("false_fail", "false_pass"):
@@ -184,34 +241,34 @@ class Verifier(Likelihood):
                 raise ValueError(f"{name} is a rate of error between 0 and 0.5, got {getattr(self, name)}; try 1e-3")
 
     edges = np.array([0.0, 0.5, 1.0])
-    beside_edges = np.array([0.0, 1.0])
+    full_view_edges = np.array([0.0, 1.0])
     oldest = most = 1
 
-    def clean(self, size: int, reference: int, shared: int, age: int) -> Row:
+    def uncontaminated(self, size: int, reference: int, shared: int, age: int) -> Row:
         return np.array([self.false_fail, 1 - self.false_fail])
 
-    def dirty(self, size: int, liars: int, other: int, manner: int = 1) -> Row:
+    def one_contaminated(self, size: int, attackers: int, other: int, mode: int = 1) -> Row:
         return np.array([1 - self.false_pass, self.false_pass])
 
-    def both(self, size: int, other: int, manner: int = 1, its: int = 1) -> Row:
-        return self.dirty(1, 1, 1)
+    def both_contaminated(self, size: int, other: int, mode: int = 1, other_mode: int = 1) -> Row:
+        return self.one_contaminated(1, 1, 1)
 
-    def beside(self, size: int, liars: int, everyone: int, lying: int, manner: int = 1) -> Row:
-        """One bin: nothing resembles a lie here, and what an honest view errs it errs against any other too."""
+    def full_view(self, size: int, attackers: int, everyone: int, total_attackers: int, mode: int = 1) -> Row:
+        """One bin: contaminated views do not resemble each other here, so the full view carries no information."""
         return np.ones(1)
 
-    def worth(self, size: int, liars: int, manner: int = 1) -> float:
-        return 0.0 if liars else 1 - 0.5 / size
+    def utility(self, size: int, attackers: int, mode: int = 1) -> float:
+        return 0.0 if attackers else 1 - 0.5 / size
 
 
 def entropy(p: np.ndarray, axis: int | tuple[int, ...] = -1) -> np.ndarray:
-    """In bits; 0 log 0 is 0."""
+    """Entropy in bits; 0 log 0 is 0."""
     bits: np.ndarray = -(p * np.log2(np.maximum(p, 1e-300))).sum(axis)
     return bits
 
 
 def overlaps(n: int) -> list[tuple[int, int, int]]:
-    """Sizes of two groups among n vehicles, and of what they share."""
+    """Sizes of two groups among n vehicles, and the number of vehicles in both."""
     return [
         (one, other, shared)
         for one, other in product(range(1, n + 1), repeat=2)
@@ -219,15 +276,19 @@ def overlaps(n: int) -> list[tuple[int, int, int]]:
     ]
 
 
-def liars_in_one(n: int) -> list[tuple[int, int, int]]:
-    """Size of a group among n vehicles, liars in it, and size of an honest one that it is compared with."""
-    return [(size, liars, other) for size, other in product(range(1, n + 1), repeat=2) for liars in range(1, size + 1)]
-
-
-def liars_in_groups(n: int) -> list[tuple[int, int, int]]:
-    """Sizes of groups smaller than n, liars in them, and liars among all n, who are at most n - 1."""
+def attackers_in_one(n: int) -> list[tuple[int, int, int]]:
+    """Size of a group among n vehicles, active attackers in it, and size of an uncontaminated group to compare."""
     return [
-        (size, liars, lying)
-        for lying, size in product(range(n), range(1, n))
-        for liars in range(max(size + lying - n, 0), min(size, lying) + 1)
+        (size, attackers, other)
+        for size, other in product(range(1, n + 1), repeat=2)
+        for attackers in range(1, size + 1)
+    ]
+
+
+def attackers_in_groups(n: int) -> list[tuple[int, int, int]]:
+    """Sizes of groups smaller than n, active attackers in them, and active attackers among all n (at most n - 1)."""
+    return [
+        (size, attackers, total_attackers)
+        for total_attackers, size in product(range(n), range(1, n))
+        for attackers in range(max(size + total_attackers - n, 0), min(size, total_attackers) + 1)
     ]

@@ -1,4 +1,4 @@
-"""PRBI, Algorithm 1 of "All Vehicles Can Lie": two random groups a frame, counts, Bayes, and a test to stop."""
+"""PRBI, Algorithm 1 of "All Vehicles Can Lie": two random groups a frame, counts, Bayes, and a stopping test."""
 
 from __future__ import annotations
 
@@ -8,9 +8,8 @@ from collections.abc import Generator, Mapping
 import numpy as np
 
 from defenders.checks import check_choice
-from defenders.prbi.frame_views import Asking, Group, Looks, union
-from defenders.prbi.group_testing import Proof
-from defenders.prbi.inference import check_knobs, estimate_liars, posterior, round_liars, settled
+from defenders.prbi.frame_views import FrameViews, Group, Queries, union
+from defenders.prbi.inference import check_options, estimate_attackers, posterior, round_attackers, settled
 from defenders.prbi.interpretation import ROUNDINGS, STOPPINGS, Reading
 from defenders.protocol import Defender, Frame, Inspection, Query, Verdict, View
 from defenders.thresholds.tables import open_thresholds
@@ -19,40 +18,29 @@ from defenders.thresholds.tables import open_thresholds
 class Prbi(Defender):
     """Pseudo-Random Bayesian Inference. Line and equation numbers in the code are the paper's (Sec. 4, Algorithm 1).
 
-    Where the paper is silent, or says two things (docs/prbi.md tells more):
+    Where the paper is silent or contradicts itself (see docs/prbi.md):
 
-    * Passing means similarity >= ε ("exceeds ε", line 17; "falls below ε" is abnormal, line 11).
-    * Ties in argsort are broken at random, by one draw a frame: the Attackers of a frame (line 24) are the first
-      group of the next (line 13), as both are the head of the same argsort.
-    * ⌊m⌋ = 0 leaves Group_1 empty and everyone in Group_2. Nothing is asked: that view was already seen to be abnormal.
-      It counts as a validation that all failed, as the proof of Theorem 1 (1) needs.
-    * P(A) = 0, posterior above 1: see `evidence.posterior`. w_p = 1, S = 0: see `evidence.settled`.
+    * A group is consistent if its similarity is at least ε ("exceeds ε", line 17; below ε is abnormal, line 11).
+    * Ties in argsort are broken at random, by one draw a frame. The Attackers of a frame (line 24) are the first group
+      of the next (line 13), as both are the head of the same argsort.
+    * ⌊m⌋ = 0 leaves Group_1 empty and everyone in Group_2. Nothing is queried, because that view is already known to be
+      abnormal. It counts as a validation that all failed, as the proof of Theorem 1 (1) needs.
+    * P(A) = 0, posterior above 1: see `inference.posterior`. w_p = 1, S = 0: see `inference.settled`.
     * Collaborators are fused in this frame (Algorithm 1, Sec. 4.3), not in the next (step 4 of Sec. 4.2).
-    * The reference is renewed by the output of every frame before convergence, normal ones too: a stale reference
+    * The reference is renewed by the output of every frame before convergence, of normal frames too. A stale reference
       drifts below ε by motion alone.
-    * A normal frame before convergence excludes the Attackers of the last evaluation (line 41, taken literally); there
+    * A normal frame before convergence excludes the Attackers of the last evaluation (line 41, taken literally). There
       are none before the first abnormal frame, and then everyone is fused.
-    * Accused before convergence are the Attackers, Eq. (13), except those fused as collaborators (P_benign > 0).
-    * The first abnormal frame's divide and conquer halves the larger failed group first, verifies both halves, and
-      goes depth first to the first half that passes; a single vehicle is not halved. What it adds to the counts:
-      see `readings.Reading`.
-    * No vehicle of probability above zero, and none found: the most similar of this frame's views is the output, and
-      the reference stays, since nothing was verified.
-    * Who is absent is neither sampled nor counted, and keeps the counts it had; where none of those to be fused is
-      present, the ego alone is.
-    * In the frame of convergence the Attackers are excluded at once. Afterwards nothing is verified any more (line 11),
-      so a vehicle that starts lying later is not noticed: see `rearm`.
-
-    `stopping="robust"` keeps the counts, m and P_benign, and stops on proof (`proof.Proof`) instead of Eq. (14):
-
-    * Converged is when everyone is cleared or convicted; accused are the convicted and fused are the cleared.
-    * Soft sampling, Eq. (6), divides those not convicted, and Group_2 always holds someone open: at most all but one of
-      the open are Group_1. After a frame that settled nobody, each group is the cleared and one who is open, so n
-      frames are enough however slowly m moves.
-    * The search for a clean subset is made whenever nobody is cleared, not in the first abnormal frame only.
-    * The cleared are fused only if their view passes; else the largest group that passed in this frame is.
-    * When no group at all resembles the reference, twice in a row, the reference is what is wrong (the first frame was
-      a lie): the view that most resembles those of disjoint groups takes its place, and the counting starts over.
+    * Flagged before convergence are the Attackers, Eq. (13), except those fused as collaborators (P_benign > 0).
+    * The first abnormal frame's divide and conquer halves the larger failed group first and verifies both halves. It
+      goes depth first to the first consistent half. A single vehicle is not halved. What it adds to the counts: see
+      `interpretation.Reading`.
+    * If no vehicle has a probability above zero and no subset is found, the most similar of this frame's views is the
+      output. The reference stays, since nothing was validated.
+    * An absent vehicle is neither sampled nor counted, and keeps its counts. If no vehicle to be fused is present, the
+      ego alone is fused.
+    * In the frame of convergence the Attackers are excluded at once. Afterwards nothing is verified any more (line 11).
+      So a vehicle that attacks later is not noticed: see `rearm`.
     """
 
     def __init__(
@@ -69,21 +57,26 @@ class Prbi(Defender):
         rearm: bool = False,
         reading: Reading | None = None,
     ) -> None:
-        """Defaults are those of Sec. 11.1.
+        """Build the defender. The defaults are those of Sec. 11.1.
 
-        epsilon     ε, the similarity below which a view is abnormal
-        window      w, how many values of m the t-test looks at
-        alpha       α, its confidence level
-        gamma, lam  γ and λ, weights of the last posterior and of the normal ratio in the prior, Eq. (12)
-        threshold   "paper": ε for every group; "calibrated": one per group size, shipped for each fusion (see
-                    `configure`); or a mapping from size to ε
-        rounding    "floor", "nearest" or "ceiling", of m when vehicles are grouped and accused: see Theorem 2
-        stopping    "paper": both conditions of convergence; "robust": proof; "never": go on verifying, to watch m
-        rearm       whether the output is compared with the one before after convergence, too. If it is abnormal, the
-                    algorithm starts over; who was convicted stays excluded, and first to be suspected, until it passes
-        reading     what the paper's text leaves open
+        Args:
+            epsilon: ε, the similarity below which a view is abnormal.
+            window: w, the number of values of m in the t-test.
+            alpha: α, the level of the t-test.
+            gamma: γ, the weight of the last posterior in the prior, Eq. (12).
+            lam: λ, the weight of the normal ratio in the prior, Eq. (12).
+            threshold: "paper": ε for every group. "calibrated": one ε for each group size, shipped for each fusion (see
+                `configure`). Or a mapping from group size to ε.
+            rounding: "floor", "nearest" or "ceiling" of m when vehicles are grouped and flagged (Theorem 2).
+            stopping: "paper": both conditions of convergence. "never": go on verifying, to watch m.
+            rearm: Whether the output is compared with the one before after convergence, too. If it is abnormal, the
+                algorithm starts over. Convicted vehicles stay excluded, and are the first suspects, until they pass.
+            reading: How ambiguities of the paper's text are read.
+
+        Raises:
+            ValueError: If an option is out of range.
         """
-        check_knobs(window=window, alpha=alpha, gamma=gamma, lam=lam)
+        check_options(window=window, alpha=alpha, gamma=gamma, lam=lam)
         check_choice("rounding", rounding, ROUNDINGS)
         check_choice("stopping", stopping, STOPPINGS)
         self.window, self.alpha, self.gamma, self.lam = window, alpha, gamma, lam
@@ -95,17 +88,17 @@ class Prbi(Defender):
         self.epsilon = self.epsilon.of(fusion)
 
     def reset(self, n_vehicles: int, rng: np.random.Generator) -> None:
-        """ValueError below the two vehicles of Sec. 3.2."""
+        """Begin an episode. ValueError below the two vehicles of Sec. 3.2."""
         if n_vehicles < 2:
             raise ValueError(f"PRBI splits at least 2 vehicles into groups, got {n_vehicles}; use the defender 'none'")
         self.everyone: Group = frozenset(range(n_vehicles))
         self.rng, self.present = rng, self.everyone
         self.reference: View | None = None
-        self.lost = 0  # abnormal frames running in which no group passed
+        self.lost = 0  # abnormal frames in a row without a consistent group
         self._begin(attackers=frozenset())
 
     def _begin(self, attackers: Group) -> None:
-        """Lines 1-3. `attackers` were convicted before, and stay accused until they pass."""
+        """Initialise, lines 1-3. `attackers` were convicted before, and stay flagged until they pass."""
         n = len(self.everyone)
         self.normal = np.zeros(n, dtype=np.int64)  # c_normal
         self.total = np.zeros(n, dtype=np.int64)  # N
@@ -116,71 +109,65 @@ class Prbi(Defender):
         self.attackers = self.known = attackers
         self.order = self._argsort()
         self.searched = False  # the divide and conquer belongs to the first abnormal frame
-        self.proof = Proof(n)
-        self.stalled = False  # whether the last abnormal frame proved nothing
 
     def inspect(self, frame: Frame) -> Inspection:
         self.present = frame.present
         if self.reference is None:
             self.reference = frame.seen  # lines 6-10: the first frame is trusted
             return Verdict(self.everyone)
-        looks = Looks(frame, self.reference, self.epsilon)
+        frame_views = FrameViews(frame, self.reference, self.epsilon)
         if self.converged:
             verdict = self._exclude_attackers()  # line 41
-            if not self.rearm or (yield from self._renew(looks, verdict.collaborators)):
+            if not self.rearm or (yield from self._renew(frame_views, verdict.collaborators)):
                 return verdict
-            yield from looks.reject(verdict.collaborators)
+            yield from frame_views.reject(verdict.collaborators)
             self._begin(self.attackers)
-        elif looks.passes(self.present):  # line 11
+        elif frame_views.is_consistent(self.present):  # line 11
             verdict = self._exclude_attackers()
-            yield from self._output(looks, verdict.collaborators)
+            yield from self._output(frame_views, verdict.collaborators)
             return verdict
         groups = self._soft_sampling()
-        yield from self._validate(looks, groups)
+        yield from self._validate(frame_views, groups)
         self._evaluate()
         self.history.append(self.m)  # line 26
         self.converged = self._is_settled()  # lines 27-28
         if not self.converged:
-            return (yield from self._collaborate(looks, groups))
+            return (yield from self._collaborate(frame_views, groups))
         verdict = self._exclude_attackers()
         if self.rearm:
-            yield from self._renew(looks, verdict.collaborators)
+            yield from self._renew(frame_views, verdict.collaborators)
         return verdict
 
     def belief(self) -> np.ndarray:
-        """1 - P_benign, as in Fig. 5, clipped to [0, 1]; zeros before the first abnormal frame."""
+        """Attack probability 1 - P_benign, as in Fig. 5, clipped to [0, 1]; zeros before the first abnormal frame."""
         return 1 - np.clip(self.probability, 0, 1) if self.total.any() else np.zeros(len(self.everyone))
 
     def _soft_sampling(self) -> list[Group]:
-        """Eq. (6), lines 13-14: the ⌊m⌋ most suspicious vehicles, and the others. Empty groups are left out."""
+        """Soft sampling, Eq. (6): the ⌊m⌋ most suspicious vehicles, and the others. Empty groups are left out."""
         order = [i for i in self.order.tolist() if i in self.present]
-        cut = round_liars(self.m, self.rounding)
-        if self.stopping == "robust":
-            unsure, cleared = ([i for i in order if i in some] for some in (self.proof.open, self.proof.cleared))
-            if self.stalled and cleared:
-                return [frozenset((*cleared, i)) for i in unsure[-2:]]
-            order = unsure + cleared
-            cut = max(min(cut - len(self.proof.convicted), len(unsure) - 1), 0)
+        cut = round_attackers(self.m, self.rounding)
         return [frozenset(part) for part in (order[:cut], order[cut:]) if part]
 
-    def _validate(self, looks: Looks, groups: list[Group]) -> Asking:
+    def _validate(self, frame_views: FrameViews, groups: list[Group]) -> Queries:
         """Consistency validation, lines 16-18."""
-        yield from looks.verify(groups)
-        self.normal[list(union(group for group in groups if looks.passes(group)))] += 1
+        yield from frame_views.verify(groups)
+        self.normal[list(union(group for group in groups if frame_views.is_consistent(group)))] += 1
         self.total[list(self.present)] += 1
-        if self.stopping == "robust":
-            self.stalled = not self.proof.learn(looks.verdicts())
+        self._learn(frame_views, validated=True)
+
+    def _learn(self, frame_views: FrameViews, *, validated: bool) -> None:
+        """Take in all views of the frame so far; `validated` after the soft sampling's, else after a search."""
 
     def _evaluate(self) -> None:
         """Attacker evaluation, lines 20-24."""
-        self.m = estimate_liars(self.normal, self.total)
+        self.m = estimate_attackers(self.normal, self.total)
         self.probability = posterior(self.probability, self.normal, self.total, gamma=self.gamma, lam=self.lam)
         self.known -= frozenset(np.flatnonzero(self.normal).tolist())
         self.order = self._argsort()
-        self.attackers = self._accused()
+        self.attackers = self._flagged()
 
     def _argsort(self) -> np.ndarray:
-        """argsort(P_benign). Of equals, those convicted before come first, and the rest as `reading.ties` says."""
+        """argsort(P_benign). Of equals, vehicles convicted before come first, and the rest as `reading.ties` says."""
         n = len(self.everyone)
         ties = self.rng.permutation(n) if self.reading.ties == "random" else np.arange(n)
         if not self.known:
@@ -189,49 +176,38 @@ class Prbi(Defender):
         order: np.ndarray = ties[np.lexsort((unknown, self.probability[ties]))]
         return order
 
-    def _accused(self) -> Group:
-        """Eq. (13), or who is proved to lie; and who was convicted before and not cleared since, unless that is all."""
-        if self.stopping != "robust":
-            return self.known.union(self.order[: round_liars(self.m, self.rounding)].tolist())
-        convicted = self.proof.convicted
-        return self.known | convicted if self.known | convicted < self.everyone else convicted
+    def _flagged(self) -> Group:
+        """Flagged vehicles: Eq. (13), and those convicted before."""
+        return self.known.union(self.order[: round_attackers(self.m, self.rounding)].tolist())
 
     def _is_settled(self) -> bool:
-        """Line 27: Eq. (14), and as many vehicles of probability zero as there are liars by m; or proof."""
-        if self.stopping != "paper":
-            return self.stopping == "robust" and not self.proof.open
-        mean = self.m if self.reading.mean == "m" else round_liars(self.m, "floor")
+        """Convergence, line 27: Eq. (14) and ⌊m⌋ vehicles of probability zero."""
+        if self.stopping == "never":
+            return False
+        mean = self.m if self.reading.mean == "m" else round_attackers(self.m, "floor")
         zeros = int(np.count_nonzero(self.probability == 0))
-        return zeros == round_liars(self.m, self.reading.second) and settled(self.history, mean, self.alpha)
+        return zeros == round_attackers(self.m, self.reading.second) and settled(self.history, mean, self.alpha)
 
-    def _collaborate(self, looks: Looks, groups: list[Group]) -> Inspection:
-        """Lines 31-38: whom to fuse while unsure; their view is the output and the next reference."""
-        collaborators: Group = yield from self._trusted(looks)
+    def _collaborate(self, frame_views: FrameViews, groups: list[Group]) -> Inspection:
+        """Collaborators before convergence, lines 31-38. Their view is the output and the next reference."""
+        collaborators: Group = yield from self._trusted(frame_views)
         if not collaborators and not self.searched:
-            collaborators = yield from self._divide_and_conquer(looks, groups)  # line 33
-        self.searched = self.stopping != "robust"
+            collaborators = yield from self._divide_and_conquer(frame_views, groups)  # line 33
+        self.searched = True
         self.lost = 0 if collaborators else self.lost + 1
         if collaborators:
-            yield from self._output(looks, collaborators)  # lines 36-37
+            yield from self._output(frame_views, collaborators)  # lines 36-37
         else:
-            collaborators = self._least_evil(looks)
+            collaborators = self._most_similar(frame_views)
         return Verdict(collaborators, self.attackers - collaborators)
 
-    def _trusted(self, looks: Looks) -> Generator[Query, list[View], Group]:
-        """Line 31; or the cleared, if their view passes, or else the largest group that does; empty if nobody is."""
-        if self.stopping != "robust":
-            return self.present.intersection(np.flatnonzero(self.probability).tolist())
-        cleared = self.proof.cleared & self.present
-        if cleared:
-            yield from looks.perceive(cleared)
-            if looks.passes(cleared):
-                return cleared
-            yield from looks.reject(cleared)
-            self.proof.learn(looks.verdicts())
-        return max((group for group, passed in looks.verdicts().items() if passed), key=len, default=frozenset())
+    def _trusted(self, frame_views: FrameViews) -> Generator[Query, list[View], Group]:
+        """Trusted vehicles, line 31: those whose probability is above zero, which costs nothing to know."""
+        yield from ()
+        return self.present.intersection(np.flatnonzero(self.probability).tolist())
 
-    def _divide_and_conquer(self, looks: Looks, failed: list[Group]) -> Generator[Query, list[View], Group]:
-        """Lines 33-34: the first subset that passes, and its counts; empty if there is none."""
+    def _divide_and_conquer(self, frame_views: FrameViews, failed: list[Group]) -> Generator[Query, list[View], Group]:
+        """Divide and conquer, lines 33-34: the first consistent subset, and its counts; empty if there is none."""
         found: Group = frozenset()
         stack = sorted(failed, key=len)
         while stack and not found:
@@ -240,16 +216,15 @@ class Prbi(Defender):
             if len(members) == 1:
                 continue
             halves = [frozenset(members[: len(members) // 2]), frozenset(members[len(members) // 2 :])]
-            yield from looks.verify(halves)
-            passed = [half for half in halves if looks.passes(half)]
+            yield from frame_views.verify(halves)
+            passed = [half for half in halves if frame_views.is_consistent(half)]
             found = passed[0] if passed else found
             self._count_halves(halves, passed)
             stack += reversed(halves)
         if found and self.reading.split in ("once", "replace"):
             self.normal[list(found)] += 1
             self.total[list(self.present)] += self.reading.split == "once"
-        if self.stopping == "robust":
-            self.proof.learn(looks.verdicts())
+        self._learn(frame_views, validated=False)
         if self.reading.refresh:
             self._evaluate()
             self.history[-1] = self.m
@@ -261,26 +236,24 @@ class Prbi(Defender):
             self.total[list(counted)] += 1
             self.normal[list(union(passed))] += 1
 
-    def _least_evil(self, looks: Looks) -> Group:
-        """No group passed: the most similar is the output. Twice running, "robust" mistrusts the reference instead."""
-        groups = list(looks.views)[1:] or [self.present]
-        if self.stopping != "robust" or self.lost < 2:
-            return max(groups, key=looks.likeness)
-        group = max(groups, key=lambda group: (looks.support(group), -len(group)))
-        self.reference = looks.views[group]
-        self._begin(attackers=frozenset())
-        return group
+    def _most_similar(self, frame_views: FrameViews) -> Group:
+        """Output if no group is consistent: the most similar view of the frame."""
+        return max(self._others(frame_views), key=frame_views.similarity)
 
-    def _output(self, looks: Looks, group: Group) -> Asking:
-        """Fuse the group: its view is the next reference."""
-        yield from looks.perceive(group)
-        self.reference = looks.views[group]
+    def _others(self, frame_views: FrameViews) -> list[Group]:
+        """The groups that were verified in this frame; all present if there are none."""
+        return list(frame_views.views)[1:] or [self.present]
 
-    def _renew(self, looks: Looks, group: Group) -> Generator[Query, list[View], bool]:
-        """Fuse the group; its view is the next reference if it passes. Returns whether it does."""
-        yield from looks.perceive(group)
-        if normal := looks.passes(group):
-            self.reference = looks.views[group]
+    def _output(self, frame_views: FrameViews, group: Group) -> Queries:
+        """Fuse the group. Its view is the next reference."""
+        yield from frame_views.perceive(group)
+        self.reference = frame_views.views[group]
+
+    def _renew(self, frame_views: FrameViews, group: Group) -> Generator[Query, list[View], bool]:
+        """Fuse the group. Its view is the next reference if it is consistent. Returns whether it is."""
+        yield from frame_views.perceive(group)
+        if normal := frame_views.is_consistent(group):
+            self.reference = frame_views.views[group]
         return normal
 
     def _exclude_attackers(self) -> Verdict:

@@ -1,9 +1,9 @@
-"""What verdicts on groups prove about vehicles, for `Prbi(stopping="robust")`.
+"""Group testing: what verdicts on groups say about vehicles, for `RobustPrbi`.
 
-If a group passes, everyone in it is honest; if it fails, somebody in it lies. So a vehicle is *cleared* once it was in
-a group that passed, and *convicted* once it is the only member of a failed group that is not cleared (the "definite
-defectives" of group testing: Aldridge, Baldassini, Johnson, IEEE Trans. Inf. Theory 60, 2014). The others are *open*.
-With right verdicts, and liars that lie whenever anyone is looked at, neither is ever wrong.
+If a group passes, every member is benign. If it fails, at least one member is malicious. So a vehicle is *cleared* once
+it was in a group that passed. It is *convicted* once it is the only member of a failed group that is not cleared (the
+"definite defectives" of group testing: Aldridge, Baldassini, Johnson, IEEE Trans. Inf. Theory 60, 2014). The others
+are *open*. If all verdicts are right and the attackers attack in every verified frame, neither set is ever wrong.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from collections.abc import Mapping
 from defenders.prbi.frame_views import Group, union
 
 
-class Proof:
-    """Grows with the verdicts of every frame, and starts again from the last frame alone when they contradict."""
+class GroupTest:
+    """Cleared, convicted and open vehicles. If verdicts contradict each other, only the last frame's are kept."""
 
     def __init__(self, n_vehicles: int) -> None:
         self.everyone: Group = frozenset(range(n_vehicles))
@@ -25,10 +25,16 @@ class Proof:
         self.failed: set[Group] = set()
 
     def learn(self, verdicts: Mapping[Group, bool]) -> bool:
-        """Take in one frame's verdicts (True: the group passed). Returns whether anybody was newly settled.
+        """Add the verdicts of one frame.
 
-        Verdicts contradict each other when nobody is left in a failed group who could lie, or nobody at all who could
-        be honest. Those of earlier frames are forgotten then, and this frame's too if they contradict each other.
+        Verdicts contradict each other if every member of a failed group is cleared, or if all vehicles are convicted.
+        Then those of earlier frames are forgotten, and this frame's too if they contradict each other.
+
+        Args:
+            verdicts: Whether each group passed.
+
+        Returns:
+            Whether a vehicle was newly cleared or convicted.
         """
         before = len(self.open)
         self._add(verdicts)

@@ -1,8 +1,8 @@
-"""The arithmetic of PRBI, Eqs. (8)-(14): how many vehicles lie, who, and whether the answer has settled.
+"""The arithmetic of PRBI, Eqs. (8)-(14): the number of attackers, their probabilities, and the stopping test.
 
-Pure functions of counts. The paper keeps one N for all vehicles; here every vehicle has its own, because the divide
-and conquer of the first abnormal frame verifies some vehicles more often than others. With equal N the formulas are
-the paper's.
+These are pure functions of counts. The paper keeps one N for all vehicles. Here every vehicle has its own, because the
+divide and conquer of the first abnormal frame verifies some vehicles more often than others. With equal N the formulas
+are the paper's.
 
     normal     c_normal = β_j, successful validations of vehicle j
     total      N, validations of vehicle j
@@ -26,8 +26,8 @@ def benign_ratio(normal: Counts, total: Counts) -> float:
     return float(normal.sum() / total.sum())
 
 
-def estimate_liars(normal: Counts, total: Counts) -> float:
-    """m, Eq. (9) with the cap of line 20: log2(1 / η), at most n - 1; which it also is while nothing was normal."""
+def estimate_attackers(normal: Counts, total: Counts) -> float:
+    """m, Eq. (9) with the cap of line 20: log2(1 / η), at most n - 1. It is n - 1 while nothing was normal."""
     most = len(normal) - 1.0
     eta = benign_ratio(normal, total)
     return most if eta == 0 else min(math.log2(1 / eta), most)
@@ -53,8 +53,8 @@ def posterior(
     return prior
 
 
-def round_liars(m: float, rounding: str) -> int:
-    """⌊m⌋, the nearest integer (halves upwards) or ⌈m⌉: Theorem 2 says what each does to the limit of m."""
+def round_attackers(m: float, rounding: str) -> int:
+    """⌊m⌋, the nearest integer (halves upwards) or ⌈m⌉. Theorem 2 gives the limit of m for each."""
     if rounding == "floor":
         return math.floor(m)
     return math.floor(m + 0.5) if rounding == "nearest" else math.ceil(m)
@@ -83,7 +83,7 @@ def upper_quantile(alpha: float, freedom: int) -> float:
     return float(stdtrit(freedom, 1 - alpha / 2))
 
 
-def check_knobs(*, window: int, alpha: float, gamma: float, lam: float) -> None:
+def check_options(*, window: int, alpha: float, gamma: float, lam: float) -> None:
     """ValueError unless the numbers make sense in Eqs. (12) and (14)."""
     if window < 2:
         raise ValueError(f"window is the number of values a t-test needs, at least 2, got {window}")

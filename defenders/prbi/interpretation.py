@@ -1,4 +1,4 @@
-"""What can be read into PRBI's Algorithm 1 where its text leaves a choice that changes its figures."""
+"""Readings of PRBI's Algorithm 1 where its text leaves a choice that changes its figures."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ SPLITS = ("once", "halves", "members", "replace")
 ROUNDINGS = ("floor", "nearest", "ceiling")
 MEANS = ("m", "floor")
 TIES = ("random", "index")
-STOPPINGS = ("paper", "robust", "never")
+STOPPINGS = ("paper", "never")
 
 
 @dataclass(frozen=True)
@@ -30,9 +30,9 @@ class Reading:
     ties      how vehicles of equal P_benign are ordered in argsort: at "random", anew in every frame, or by "index".
 
     Under a perfect verifier, n = 5 (`python examples/reproduce/prbi_perfect.py --readings --episodes 500`), frames to
-    convergence and percent of the innocents convicted at k = 1, 2, 3, 4; no liar is missed unless marked *:
+    convergence and MC rate (benign vehicles flagged, %) at k = 1, 2, 3, 4. No attacker is missed unless marked *:
 
-        split     refresh  second/ties frames                    innocents convicted
+        split     refresh  second/ties frames                    MC rate, %
         once      no       floor       3.01  3.81  3.71  3.62     0  17  20   0
         once      yes      floor       3.01  3.74  3.75  3.19     0  17  22   0
         halves    no       floor       3.01  3.81  3.27  2.67     0  17  22   0
@@ -46,7 +46,7 @@ class Reading:
         once      no       by index    3.04  3.70  3.55  3.26     0  34  34   0
         the paper                      2.25  2.77  3.36  4.27     0   6   0   0
 
-    With the second condition rounded otherwise than m itself, liars are missed (25 to 61 %), which the paper never
+    With the second condition rounded otherwise than m itself, attackers are missed (25 to 61 %), which the paper never
     reports. Of the others the default has the least squared distance to the paper's frames. `mean` changes nothing at
     α = 0.01: with so wide a region of acceptance the second condition decides alone.
     """

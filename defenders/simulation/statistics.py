@@ -1,8 +1,8 @@
-"""Thousands of episodes in the world without scenes, and numbers of all that happened in them.
+"""Statistics of thousands of episodes in the simulated world.
 
-terms = Terms(n_vehicles=5, n_liars=2)
-tally = play_many(Prbi(), terms, episodes=20_000, seed=0)
-tally.first.mean(), tally.frames.mean(), tally.wronged.mean()
+scenario = Scenario(n_vehicles=5, n_attackers=2)
+stats = play_many(Prbi(), scenario, episodes=20_000, seed=0)
+stats.first.mean(), stats.frames.mean(), stats.false_accusation_rate.mean()
 """
 
 from __future__ import annotations
@@ -15,123 +15,137 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped, UInt64
 
 from defenders.protocol import Defender
-from defenders.simulation.world import Episode, Terms
+from defenders.simulation.world import Episode, Scenario
 
 MOST_VEHICLES = 64  # the bits of a mask
 
 
 @dataclass(frozen=True, eq=False)
-class Tally:
-    """What happened in E episodes of at most T recorded frames. Sets of vehicles are bit masks: bit i is vehicle i.
+class EpisodeStats:
+    """Statistics of E episodes of at most T recorded frames. Sets of vehicles are bit masks: bit i is vehicle i.
 
-    Column t is the recorded frame t; behind the end of an episode are -1 in `verifications`, 0 in the masks.
+    Column t is recorded frame t. Behind the end of an episode `verifications` is -1 and masks are 0.
     """
 
     n_vehicles: int
-    liars: UInt64[np.ndarray, " E"]
+    attackers: UInt64[np.ndarray, " E"]
     frames: Int[np.ndarray, " E"]  # recorded
     converged: Bool[np.ndarray, " E"]  # in the last of them
     verifications: Int[np.ndarray, "E T"]
-    lying: UInt64[np.ndarray, "E T"]  # who lied in a frame
+    active: UInt64[np.ndarray, "E T"]  # active attackers in a frame
     fused: UInt64[np.ndarray, "E T"]  # collaborators
-    accused: UInt64[np.ndarray, "E T"]  # suspects
+    flagged: UInt64[np.ndarray, "E T"]  # suspects
 
     @property
     def first_abnormal(self) -> Int[np.ndarray, " E"]:
-        """The first column in which somebody lied; -1 where nobody did."""
-        return np.where(self.lying.any(axis=1), (self.lying != 0).argmax(axis=1), -1)
+        """The first column with an active attacker; -1 where there is none."""
+        return np.where(self.active.any(axis=1), (self.active != 0).argmax(axis=1), -1)
 
     @property
     def first(self) -> Int[np.ndarray, " F"]:
-        """Verifications of the first abnormal frame, in the episodes that have one."""
+        """Verifications in the first abnormal frame of the episodes that have one."""
         rows = np.flatnonzero(self.first_abnormal >= 0)
         return self.verifications[rows, self.first_abnormal[rows]]
 
     @property
     def all_verifications(self) -> Int[np.ndarray, " F"]:
-        """Verifications of every recorded frame of every episode, in a row."""
+        """Verifications in every recorded frame of every episode, in a row."""
         return self.verifications[self.verifications >= 0]
 
     @property
-    def convicted(self) -> Bool[np.ndarray, "E n"]:
-        """Who is accused in the last frame."""
-        return members(self._last(self.accused), self.n_vehicles)
+    def flagged_last(self) -> Bool[np.ndarray, "E n"]:
+        """Whether a vehicle is flagged in the last frame."""
+        return members(self._last(self.flagged), self.n_vehicles)
 
     @property
-    def convicted_since(self) -> Int[np.ndarray, "E n"]:
-        """The column since which a vehicle has been accused without a break to the end; -1 for who is not."""
-        behind = np.arange(self.accused.shape[1]) >= self.frames[:, None]
-        spared = ~members(self.accused, self.n_vehicles) & ~behind[:, :, None]
-        last_spared = np.where(spared.any(axis=1), spared.shape[1] - 1 - spared[:, ::-1].argmax(axis=1), -1)
-        return np.where(self.convicted, last_spared + 1, -1)
+    def flagged_since(self) -> Int[np.ndarray, "E n"]:
+        """The column since which a vehicle has been flagged up to the end; -1 if it is not flagged at the end."""
+        behind = np.arange(self.flagged.shape[1]) >= self.frames[:, None]
+        unflagged = ~members(self.flagged, self.n_vehicles) & ~behind[:, :, None]
+        last_unflagged = np.where(unflagged.any(axis=1), unflagged.shape[1] - 1 - unflagged[:, ::-1].argmax(axis=1), -1)
+        return np.where(self.flagged_last, last_unflagged + 1, -1)
 
     @property
     def identified(self) -> Float[np.ndarray, " E"]:
-        """Share of the liars accused in the last frame; NaN where there are none."""
-        return _share(self.convicted, members(self.liars, self.n_vehicles))
+        """ID rate: share of the attackers that are flagged in the last frame; NaN where there are none."""
+        return _share(self.flagged_last, members(self.attackers, self.n_vehicles))
 
     @property
-    def wronged(self) -> Float[np.ndarray, " E"]:
-        """Share of the innocents accused in the last frame."""
-        return _share(self.convicted, ~members(self.liars, self.n_vehicles))
+    def false_accusation_rate(self) -> Float[np.ndarray, " E"]:
+        """MC rate: share of the benign vehicles that are flagged in the last frame."""
+        return _share(self.flagged_last, ~members(self.attackers, self.n_vehicles))
 
     @property
-    def solved(self) -> Bool[np.ndarray, " E"]:
-        """Whether exactly the liars are accused in the last frame."""
-        return self._last(self.accused) == self.liars
+    def exact_identification(self) -> Bool[np.ndarray, " E"]:
+        """Whether exactly the attackers are flagged in the last frame."""
+        return self._last(self.flagged) == self.attackers
 
     @property
-    def deceived(self) -> Int[np.ndarray, "E T"]:
-        """How many of a frame's collaborators lied in it."""
-        return members(self.fused & self.lying, self.n_vehicles).sum(axis=2)
+    def fused_attackers(self) -> Int[np.ndarray, "E T"]:
+        """Number of active attackers among the collaborators of a frame."""
+        return members(self.fused & self.active, self.n_vehicles).sum(axis=2)
 
     def _last(self, masks: UInt64[np.ndarray, "E T"]) -> UInt64[np.ndarray, " E"]:
         return masks[np.arange(len(masks)), self.frames - 1]
 
 
-def play_many(defender: Defender, terms: Terms, *, episodes: int, seed: int) -> Tally:
-    """Play `episodes`, one after another, with one defender. ValueError for none, and above 64 vehicles.
+def play_many(defender: Defender, scenario: Scenario, *, episodes: int, seed: int) -> EpisodeStats:
+    """Play episodes one after another with one defender.
 
-    Episode i is `terms.play(defender, np.random.SeedSequence([seed, i]))`, whatever the others are.
+    Episode i is `scenario.play(defender, np.random.SeedSequence([seed, i]))`, whatever the others are.
+
+    Args:
+        defender: The defender.
+        scenario: Conditions of the episodes; at most 64 vehicles.
+        episodes: Number of episodes, at least 1.
+        seed: Seed of all episodes.
+
+    Returns:
+        Their statistics.
+
+    Raises:
+        ValueError: If there are no episodes or too many vehicles.
     """
-    if episodes < 1 or terms.n_vehicles > MOST_VEHICLES:
+    if episodes < 1 or scenario.n_vehicles > MOST_VEHICLES:
         raise ValueError(
-            f"at least 1 episode with at most {MOST_VEHICLES} vehicles, got {episodes} with {terms.n_vehicles}; "
-            "larger fleets can be played one by one with Terms.play"
+            f"at least 1 episode with at most {MOST_VEHICLES} vehicles, got {episodes} with {scenario.n_vehicles}; "
+            "larger fleets can be played one by one with Scenario.play"
         )
-    return record(terms.n_vehicles, (terms.play(defender, np.random.SeedSequence([seed, i])) for i in range(episodes)))
+    return record(
+        scenario.n_vehicles, (scenario.play(defender, np.random.SeedSequence([seed, i])) for i in range(episodes))
+    )
 
 
-def record(n_vehicles: int, episodes: Iterable[Episode]) -> Tally:
-    """The numbers of some episodes, one at least; nothing else of them is kept."""
-    liars, converged, frames = [], [], []
+def record(n_vehicles: int, episodes: Iterable[Episode]) -> EpisodeStats:
+    """Statistics of one or more episodes. Nothing else of them is kept."""
+    attackers, converged, frames = [], [], []
     columns: tuple[list[int], list[int], list[int], list[int]] = ([], [], [], [])  # of all frames in a row
     for episode in episodes:
-        liars.append(_mask(episode.liars))
+        attackers.append(_mask(episode.attackers))
         converged.append(episode.converged)
-        frames.append(len(episode.rulings))
-        for ruling in episode.rulings:
-            verdict = ruling.verdict
-            row = ruling.verifications, _mask(ruling.lying), _mask(verdict.collaborators), _mask(verdict.suspects)
+        frames.append(len(episode.results))
+        for result in episode.results:
+            verdict = result.verdict
+            row = result.verifications, _mask(result.active), _mask(verdict.collaborators), _mask(verdict.suspects)
             for column, value in zip(columns, row, strict=True):
                 column.append(value)
     played = np.arange(max(frames)) < np.array(frames)[:, None]
     verifications, *masks = columns
-    lying, fused, accused = (_spread(np.array(mask, dtype=np.uint64), played, 0) for mask in masks)
-    return Tally(
+    active, fused, flagged = (_spread(np.array(mask, dtype=np.uint64), played, 0) for mask in masks)
+    return EpisodeStats(
         n_vehicles=n_vehicles,
-        liars=np.array(liars, dtype=np.uint64),
+        attackers=np.array(attackers, dtype=np.uint64),
         frames=np.array(frames),
         converged=np.array(converged),
         verifications=_spread(np.array(verifications), played, -1),
-        lying=lying,
+        active=active,
         fused=fused,
-        accused=accused,
+        flagged=flagged,
     )
 
 
 def members(masks: UInt64[np.ndarray, "*any"], n_vehicles: int) -> Bool[np.ndarray, "*any n"]:
-    """Masks taken apart: whether vehicle i is in each of them."""
+    """Unpacked masks: whether vehicle i is in each of them."""
     return (masks[..., None] >> np.arange(n_vehicles, dtype=np.uint64)) & np.uint64(1) == 1
 
 

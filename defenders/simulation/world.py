@@ -1,9 +1,9 @@
-"""A world without scenes: how right the view of a group is depends on the liars in it, and on nothing else.
+"""A simulated world without scenes: the similarity of a group's view depends only on the attackers in the group.
 
-It drives any defender by hand, thousands of episodes a second, and measures the defender's logic alone. By default the
-verifier is perfect: two views are alike (similarity 1) when both are right and have nothing in common (0) otherwise;
-`defenders.simulation.verifier` has verifiers that err. Views are bare numbers, so a defender cannot look into them.
-Many episodes at once: `defenders.simulation.statistics`.
+It drives any defender, thousands of episodes a second, and measures the logic of the defender alone. By default the
+verifier is perfect: two views have similarity 1 if both are right, and 0 otherwise. `defenders.simulation.verifier` has
+verifiers with errors. Views are bare numbers, so a defender cannot read them. `defenders.simulation.statistics` plays
+many episodes at once.
 """
 
 from __future__ import annotations
@@ -13,51 +13,51 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from defenders.protocol import Defender, Frame, Query, QueryError, Verdict
-from defenders.simulation.verifier import Group, Likeness, exact
+from defenders.protocol import Defender, Frame, Informed, Query, QueryError, Verdict
+from defenders.simulation.verifier import Group, SimilarityModel, exact
 
 Schedule = Callable[[int, Group], Group]
-"""From the number of a frame (0 begins the episode) and the liars to those of them who lie in that frame.
+"""From the number of a frame (0 begins the episode) and the attackers to the attackers that are active in that frame.
 
-Or, as `absent`, to the vehicles whose maps are not there in that frame."""
+As `absent`, to the vehicles that are absent in that frame."""
 
 
-def always(frame: int, liars: Group) -> Group:
-    """All of them, in every frame."""
-    return liars
+def always(frame: int, attackers: Group) -> Group:
+    """All attackers, in every frame."""
+    return attackers
 
 
 def every(period: int, *, start: int = 0) -> Schedule:
-    """All of them in the frames `start`, `start + period`, …, nobody in between (the paper's Table 6)."""
+    """All attackers in the frames `start`, `start + period`, …, none in between (the paper's Table 6)."""
     if period < 1 or start < 0:
         raise ValueError(f"a schedule needs period >= 1 and start >= 0, got period={period}, start={start}")
-    return lambda frame, liars: liars if frame >= start and (frame - start) % period == 0 else frozenset()
+    return lambda frame, attackers: attackers if frame >= start and (frame - start) % period == 0 else frozenset()
 
 
 def turning(at: int, *, late: int = 1) -> Schedule:
-    """The `late` liars of highest number are honest before frame `at`; the others lie from the beginning."""
+    """All attackers, but the `late` ones of highest number only from frame `at` on."""
     if at < 0 or late < 1:
         raise ValueError(f"a schedule needs at >= 0 and late >= 1, got at={at}, late={late}")
-    return lambda frame, liars: liars if frame >= at else frozenset(sorted(liars)[:-late])
+    return lambda frame, attackers: attackers if frame >= at else frozenset(sorted(attackers)[:-late])
 
 
-def nobody(frame: int, liars: Group) -> Group:
+def nobody(frame: int, attackers: Group) -> Group:
     """Nobody, in any frame."""
     return frozenset()
 
 
 @dataclass(frozen=True, slots=True)
-class Ruling:
-    """What a defender did in one frame."""
+class FrameResult:
+    """Verdict, queries and cost of a defender in one frame."""
 
     verdict: Verdict
-    groups: tuple[Group, ...]  # every group asked, in order
-    verifications: int  # those of them that count
-    lying: Group = frozenset()  # who lied in this frame
+    groups: tuple[Group, ...]  # every group queried, in order
+    verifications: int  # groups that count as verifications
+    active: Group = frozenset()  # active attackers
 
 
 @dataclass(frozen=True, slots=True)
-class PerfectFrame:
+class SimulatedFrame:
     """One frame as a defender sees it (see `defenders.protocol.Frame`)."""
 
     index: int
@@ -69,68 +69,81 @@ class PerfectFrame:
 
 
 @dataclass
-class PerfectWorld:
-    """One episode. In the frames judged with `lying=True` those of `liars` lie whom the schedule names, if present.
+class SimulatedWorld:
+    """One episode. In frames judged with `attack=True` the attackers that the schedule names are active, if present.
 
-    The similarity of two views is what `likeness` gave for the later one, unless the earlier is a lie: then it is no
-    more than the earlier's own. So a lie that shows is a reference that nothing agrees with, and one that passes is as
-    good as the truth. A group asked twice in a frame is looked at once. The agreement is half the similarity.
+    The similarity of two views is that of the later one to a right reference. If the earlier one is contaminated, it is
+    at most the earlier's own. So a perturbation that shows is a reference that no view resembles, and one that does not
+    show is as good as the truth. A group that is queried twice in a frame gets the same view. The agreement is half the
+    similarity.
     """
 
     n_vehicles: int
-    liars: Group
+    attackers: Group
     frame: int = 0
-    views: list[float] = field(default_factory=list, repr=False)  # likeness of view number i to a right reference
-    likeness: Likeness = exact
+    views: list[float] = field(default_factory=list, repr=False)  # similarity of view number i to a right reference
+    similarity_model: SimilarityModel = exact
     schedule: Schedule = always
-    absent: Schedule = nobody  # whose maps are not there; never the ego's
-    rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0), repr=False)  # of the likeness
+    absent: Schedule = nobody  # absent vehicles; never the ego
+    rng: np.random.Generator = field(
+        default_factory=lambda: np.random.default_rng(0), repr=False
+    )  # of the similarity model
 
     def __post_init__(self) -> None:
         self.everyone: Group = frozenset(range(self.n_vehicles))
-        if not self.liars <= self.everyone:
-            raise ValueError(f"liars must be among the vehicles 0..{self.n_vehicles - 1}, got {sorted(self.liars)}")
-        self.present, self.lying = self.everyone, frozenset[int]()  # in the current frame
-        self._lies: list[bool] = []  # whether a liar is in view number i
-        self._looked: dict[Group, int] = {}  # views of the current frame
+        if not self.attackers <= self.everyone:
+            raise ValueError(
+                f"attackers must be among the vehicles 0..{self.n_vehicles - 1}, got {sorted(self.attackers)}"
+            )
+        self.present, self.active = self.everyone, frozenset[int]()  # in the current frame
+        self._malicious: list[bool] = []  # whether view number i is contaminated
+        self._numbers: dict[Group, int] = {}  # numbers of the current frame's views
 
-    def look(self, group: Iterable[int]) -> int:
-        """The view of a group in the current frame: of those of it who are present."""
+    def view(self, group: Iterable[int]) -> int:
+        """View of a group in the current frame: of its present members."""
         group = frozenset(group) & self.present
-        if group not in self._looked:
-            lying = group & self.lying
-            self._looked[group] = len(self.views)
-            self.views.append(self.likeness(group, lying, self.rng))
-            self._lies.append(bool(lying))
-        return self._looked[group]
+        if group not in self._numbers:
+            active = group & self.active
+            self._numbers[group] = len(self.views)
+            self.views.append(self.similarity_model(group, active, self.rng))
+            self._malicious.append(bool(active))
+        return self._numbers[group]
 
     def similarity(self, a: int, b: int) -> float:
         earlier, later = (a, b) if a <= b else (b, a)
         value = self.views[later]
-        return min(value, self.views[earlier]) if self._lies[earlier] else value
+        return min(value, self.views[earlier]) if self._malicious[earlier] else value
 
     def agreement(self, a: int, b: int) -> float:
         return 0.5 * self.similarity(a, b)
 
-    def show(self, lying: bool) -> Frame:
-        """The next frame, everyone fused who is present. ValueError if the ego is not."""
-        if 0 in (absent := self.absent(self.frame, self.liars)):
+    def show(self, attack: bool) -> Frame:
+        """Show the next frame, with its full view. ValueError if the ego is absent."""
+        if 0 in (absent := self.absent(self.frame, self.attackers)):
             raise ValueError(f"the ego, vehicle 0, is always present; absent in frame {self.frame}: {sorted(absent)}")
         self.present = self.everyone - absent
-        self.lying = self.schedule(self.frame, self.liars) & self.present if lying else frozenset()
-        self._looked = {}
+        self.active = self.schedule(self.frame, self.attackers) & self.present if attack else frozenset()
+        self._numbers = {}
         self.frame += 1
-        seen = self.look(self.everyone)
-        return PerfectFrame(self.frame - 1, self.n_vehicles, self.present, seen, self.similarity, self.agreement)
+        seen = self.view(self.everyone)
+        return SimulatedFrame(self.frame - 1, self.n_vehicles, self.present, seen, self.similarity, self.agreement)
 
-    def judge(self, defender: Defender, lying: bool = True) -> Ruling:
-        """Show the defender the next frame, answer what it asks, and count.
+    def judge(self, defender: Defender, attack: bool = True) -> FrameResult:
+        """Show a defender the next frame, answer its queries, and count them.
 
-        Raises QueryError if it asks for nonsense, or its verdict is none.
+        Args:
+            defender: The defender.
+            attack: Whether the attackers that the schedule names are active.
+
+        Returns:
+            The verdict, the queries and their cost.
+
+        Raises:
+            QueryError: If a query or the verdict is invalid.
         """
         groups: list[Group] = []
         queries = verifications = 0
-        inspection = defender.inspect(self.show(lying))
+        inspection = defender.inspect(self.show(attack))
         try:
             query = next(inspection)
             while True:
@@ -138,9 +151,9 @@ class PerfectWorld:
                 self._check(query, queries, defender.max_queries)
                 groups += query.groups
                 verifications += len(query.groups) if query.verification else 0
-                query = inspection.send([self.look(group) for group in query.groups])
+                query = inspection.send([self.view(group) for group in query.groups])
         except StopIteration as stop:
-            return Ruling(self._checked(stop.value), tuple(groups), verifications, self.lying)
+            return FrameResult(self._checked(stop.value), tuple(groups), verifications, self.active)
         finally:
             inspection.close()
 
@@ -162,7 +175,7 @@ class PerfectWorld:
         named = verdict.collaborators | verdict.suspects
         if not verdict.collaborators & self.present or not named <= self.everyone:
             raise QueryError(
-                f"a verdict must fuse one or more of {self.n_vehicles} vehicles and accuse none but them, got "
+                f"a verdict must fuse one or more of {self.n_vehicles} vehicles and flag none but them, got "
                 f"{sorted(verdict.collaborators)} and {sorted(verdict.suspects)}; present in this frame are "
                 f"{sorted(self.present)}"
             )
@@ -171,43 +184,47 @@ class PerfectWorld:
 
 @dataclass(frozen=True, slots=True)
 class Episode:
-    """The frames after the honest ones it began with, up to convergence; all of them counted."""
+    """The recorded frames of an episode: those after the grace frames."""
 
-    liars: Group
-    rulings: tuple[Ruling, ...]
+    attackers: Group
+    results: tuple[FrameResult, ...]
 
     @property
     def converged(self) -> bool:
-        return self.rulings[-1].verdict.converged
+        return self.results[-1].verdict.converged
 
     @property
     def suspects(self) -> Group:
-        return self.rulings[-1].verdict.suspects
+        return self.results[-1].verdict.suspects
 
     @property
     def verifications(self) -> list[int]:
-        return [ruling.verifications for ruling in self.rulings]
+        return [result.verifications for result in self.results]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Terms:
-    """The terms of an episode: who may lie, when, and what a look tells. ValueError for terms that cannot be played.
+class Scenario:
+    """Conditions of an episode: who may attack, when, and how informative a verification is.
 
-    n_vehicles       maps that can be fused; vehicle 0 is the ego
-    n_liars          so many vehicles, drawn at random, lie
-    honest           vehicles that are never drawn: {0} is a trusted ego
-    likeness         what the view of a group resembles: see `defenders.simulation.verifier`
-    schedule         who of the liars lies in which frame
-    absent           who is not there in which frame: has yet to appear, or has dropped out
-    grace_frames     so many honest frames come first and are not recorded; the schedule counts them
-    max_frames       at most so many are recorded
-    until_converged  whether an episode ends with the frame in which the defender says that it has converged
+    Attributes:
+        n_vehicles: Maps that can be fused. Vehicle 0 is the ego.
+        n_attackers: Number of attackers, drawn at random.
+        benign: Vehicles that are never drawn. {0} is a trusted ego.
+        similarity_model: Similarity of a group's view to a right reference: see `defenders.simulation.verifier`.
+        schedule: Attackers that are active in a frame.
+        absent: Vehicles that are absent in a frame.
+        grace_frames: Frames without an attack at the start. They are not recorded, but the schedule counts them.
+        max_frames: Frames that are recorded, at most.
+        until_converged: Whether an episode ends with the frame in which the defender has converged.
+
+    Raises:
+        ValueError: If the conditions are contradictory.
     """
 
     n_vehicles: int
-    n_liars: int
-    honest: Collection[int] = ()
-    likeness: Likeness = exact
+    n_attackers: int
+    benign: Collection[int] = ()
+    similarity_model: SimilarityModel = exact
     schedule: Schedule = always
     absent: Schedule = nobody
     grace_frames: int = 1
@@ -215,12 +232,12 @@ class Terms:
     until_converged: bool = True
 
     def __post_init__(self) -> None:
-        able = self.n_vehicles - len(set(self.honest))
-        if not set(self.honest) <= set(range(self.n_vehicles)):
-            raise ValueError(f"honest must name vehicles 0..{self.n_vehicles - 1}, got {sorted(self.honest)}")
-        if not 0 <= self.n_liars <= min(able, self.n_vehicles - 1):
+        able = self.n_vehicles - len(set(self.benign))
+        if not set(self.benign) <= set(range(self.n_vehicles)):
+            raise ValueError(f"benign must name vehicles 0..{self.n_vehicles - 1}, got {sorted(self.benign)}")
+        if not 0 <= self.n_attackers <= min(able, self.n_vehicles - 1):
             raise ValueError(
-                f"n_liars must leave one vehicle honest: {self.n_liars} of the {able} that may lie, "
+                f"n_attackers must leave one vehicle benign: {self.n_attackers} of the {able} that may attack, "
                 f"n_vehicles = {self.n_vehicles}"
             )
         if self.max_frames < 1 or self.grace_frames < 0:
@@ -230,30 +247,30 @@ class Terms:
             )
 
     def play(self, defender: Defender, seed: int | np.random.SeedSequence) -> Episode:
-        """Play one episode; the same seed draws the same liars for every defender."""
+        """Play one episode. The same seed draws the same attackers for every defender."""
         sequence = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
-        world_rng, mind = (np.random.default_rng(child) for child in sequence.spawn(2))
-        able = [i for i in range(self.n_vehicles) if i not in self.honest]
-        liars = frozenset(world_rng.permutation(able)[: self.n_liars].tolist())
-        world = PerfectWorld(
+        world_rng, defender_rng = (np.random.default_rng(child) for child in sequence.spawn(2))
+        able = [i for i in range(self.n_vehicles) if i not in self.benign]
+        attackers = frozenset(world_rng.permutation(able)[: self.n_attackers].tolist())
+        world = SimulatedWorld(
             self.n_vehicles,
-            liars,
-            likeness=self.likeness,
+            attackers,
+            similarity_model=self.similarity_model,
             schedule=self.schedule,
             absent=self.absent,
             rng=world_rng,
         )
-        if (tell := getattr(defender, "tell", None)) is not None:
-            tell(liars)
-        defender.reset(self.n_vehicles, mind)
+        if isinstance(defender, Informed):
+            defender.reveal_attackers(attackers)
+        defender.reset(self.n_vehicles, defender_rng)
         for _ in range(self.grace_frames):
-            world.judge(defender, lying=False)
-        rulings = [world.judge(defender)]
-        while len(rulings) < self.max_frames and not (self.until_converged and rulings[-1].verdict.converged):
-            rulings.append(world.judge(defender))
-        return Episode(liars, tuple(rulings))
+            world.judge(defender, attack=False)
+        results = [world.judge(defender)]
+        while len(results) < self.max_frames and not (self.until_converged and results[-1].verdict.converged):
+            results.append(world.judge(defender))
+        return Episode(attackers, tuple(results))
 
 
-def play(defender: Defender, n_vehicles: int, n_liars: int, seed: int, max_frames: int = 100) -> Episode:
-    """Frame 0 is honest; from then on `n_liars` vehicles drawn at random lie, until the defender has converged."""
-    return Terms(n_vehicles=n_vehicles, n_liars=n_liars, max_frames=max_frames).play(defender, seed)
+def play(defender: Defender, n_vehicles: int, n_attackers: int, seed: int, max_frames: int = 100) -> Episode:
+    """Play one episode: frame 0 without an attack, then `n_attackers` random attackers up to convergence."""
+    return Scenario(n_vehicles=n_vehicles, n_attackers=n_attackers, max_frames=max_frames).play(defender, seed)

@@ -1,8 +1,9 @@
 """Similarity thresholds ε: one for every group, or one for each size of group.
 
-A view of few vehicles resembles the reference less than a view of many, liars or not, so one ε lets large groups with
-a liar pass or small honest ones fail; and how much less depends on how the ego fuses. `thresholds.json` holds, for
-every fusion that ships, a threshold per group size, calibrated on clean and attacked calibration scenes:
+A view of few vehicles resembles the reference less than a view of many, whether it is contaminated or not. So with one
+ε a large contaminated group passes or a small uncontaminated one fails. How much they differ depends on how the ego
+fuses. `thresholds.json` holds, for every fusion that ships, a threshold per group size, calibrated on clean and
+attacked calibration scenes:
 
     {"mean": {"source": "which scenes and detector", "command": "the command that wrote this entry",
               "epsilon": {"1": 0.30, "2": 0.41, "3": 0.47}},
@@ -18,10 +19,10 @@ from pathlib import Path
 
 CALIBRATED = Path(__file__).with_name("thresholds.json")
 EGO_ONLY = {score: Path(__file__).with_name(f"ego_{score}.json") for score in ("agreement", "similarity")}
-"""The same for a group that holds the ego against what the ego sees alone, the reference of ROBOSAC and PASAC."""
+"""The same for a group with the ego, compared with the ego-only view: the reference of ROBOSAC and PASAC."""
 
 DEFAULT = "mean"
-"""The fusion whose thresholds serve until a defender is told of another, and for one that has no entry."""
+"""The fusion whose thresholds serve until a defender is configured for another, and for one without an entry."""
 
 
 class Thresholds:
@@ -39,7 +40,7 @@ class Thresholds:
         return self.epsilon[min(len(group), len(self.epsilon))]
 
     def of(self, fusion: str) -> Thresholds:
-        """The same for an ego that fuses so."""
+        """The thresholds for an ego with this fusion."""
         made = copy.copy(self)
         made.epsilon = self._others.get(fusion, self._default)
         return made

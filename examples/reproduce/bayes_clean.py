@@ -1,10 +1,10 @@
-"""Does `bayes` ever accuse anybody where nobody lies? Thousands of frames on the detector, each verdict looked at.
+"""False alarms of `bayes` without an attack: the verdicts of thousands of frames on the detector.
 
     python examples/reproduce/bayes_clean.py
     python examples/reproduce/bayes_clean.py --scenes town/train --every 3
 
-Every scene is one episode from its first frame on. accused: frames with a suspect; left out: vehicles not fused, a
-frame; looks: verifications a frame.
+Every scene is one episode from its first frame on. A flagged vehicle is a suspect of the verdict. Left out/frame: the
+mean number of vehicles that are not fused in a frame.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from rich.table import Table
 
 from cp_env.detector import load_detector
 from cp_env.scenes import open_source
+from cp_env.settings import Fusion
 from cp_env.world.scene_cache import SceneBank
 from cp_env.world.world import World
 
@@ -31,7 +32,7 @@ class Args:
     frames: int = 100  # of each, at most
     n_vehicles: int = 5
     defender: str = "bayes"
-    fusion: str = "mean"
+    fusion: Fusion = "mean"
     seed: int = 0
     threads: int = 1
 
@@ -40,9 +41,9 @@ class Args:
 class Episode:
     scene: str
     frames: int
-    accused: int
+    flagged: int
     left_out: int
-    looks: int
+    verifications: int
 
 
 def play(args: Args, bank: SceneBank, scene: str) -> Episode:
@@ -65,16 +66,16 @@ def main(args: Args) -> None:
     torch.set_num_threads(args.threads)
     bank = SceneBank(open_source(args.scenes), load_detector(args.fusion), progress=False)
     episodes = [play(args, bank, scene) for scene in track(bank.source.names()[:: args.every], "playing")]
-    title = f"{args.defender}, nobody lies, {args.scenes}"
-    table = Table("scene", "frames", "accused", "left out", "looks", title=title)
+    title = f"{args.defender}, no attack, {args.scenes}"
+    table = Table("scene", "frames", "with a flagged vehicle", "left out/frame", "verifications/frame", title=title)
     for e in [*episodes, Episode("all", *(sum(column) for column in zip(*map(figures, episodes), strict=True)))]:
-        per_frame = (f"{x / e.frames:.2f}" for x in (e.left_out, e.looks))
-        table.add_row(e.scene, str(e.frames), str(e.accused), *per_frame)
+        per_frame = (f"{x / e.frames:.2f}" for x in (e.left_out, e.verifications))
+        table.add_row(e.scene, str(e.frames), str(e.flagged), *per_frame)
     Console().print(table)
 
 
 def figures(e: Episode) -> tuple[int, ...]:
-    return e.frames, e.accused, e.left_out, e.looks
+    return e.frames, e.flagged, e.left_out, e.verifications
 
 
 if __name__ == "__main__":

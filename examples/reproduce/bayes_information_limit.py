@@ -1,12 +1,13 @@
-"""How many frames does `bayes` need to be 99 % sure, beside the fewest that any defender could need?
+"""Frames until `bayes` is 99 % certain, and the information limit of any defender.
 
     python examples/reproduce/bayes_information_limit.py             # n = 5, 10, 15 and 20: a table and a picture
     python examples/reproduce/bayes_information_limit.py --n 5 --episodes 200
 
-The verifier is perfect and tells yes or no; k of n vehicles lie from the first frame after an honest one, k being known
-to nobody. There are 2^n sets of liars and a frame pays for two answers, so n / 2 frames are the limit for one who has
-no idea how many lie. For one who takes every number of liars for equally likely, as `bayes` does, a set of k holds
-log2(n C(n, k)) bits: less where k is near 0 or n, so that frames may fall below n / 2 there.
+The verifier is perfect: it answers whether a group holds an attacker. k of n vehicles attack in every frame after a
+benign one, and k is not known. There are 2^n sets of attackers, and a frame pays for two answers of one bit. So n / 2
+frames are the limit under a uniform prior on sets. `bayes` has a uniform prior on the number of attackers. Under that a
+set of k attackers holds log2(n C(n, k)) bits, which is less where k is near 0 or n. So fewer than n / 2 frames are
+possible there.
 """
 
 from __future__ import annotations
@@ -34,9 +35,9 @@ class Args:
     n: tuple[int, ...] = (5, 10, 15, 20)
     """vehicles"""
     episodes: int = 10
-    """episodes for each number of liars"""
-    liars: int = 5
-    """numbers of liars, spread over 1 … n - 1"""
+    """episodes for each number of attackers"""
+    attackers: int = 5
+    """numbers of attackers, spread over 1 … n - 1"""
     seed: int = 0
     out: Path = Path("out/bayes")
 
@@ -46,7 +47,7 @@ class Row:
     n: int
     k: int
     frames: Interval
-    exact: float  # share of episodes that ended with exactly the liars accused
+    exact: float  # share of episodes that ended with exactly the attackers flagged
     most: int  # verifications in a frame
     milliseconds: float  # of CPU time, a frame
 
@@ -55,7 +56,7 @@ def measure(args: Args, n: int, k: int) -> Row:
     start = time.process_time()
     played = [play(Bayes(likelihood="perfect"), n, k, args.seed + i, max_frames=100) for i in range(args.episodes)]
     spent = time.process_time() - start
-    frames = [len(episode.rulings) for episode in played]
+    frames = [len(episode.results) for episode in played]
     return Row(
         n,
         k,
@@ -67,11 +68,11 @@ def measure(args: Args, n: int, k: int) -> Row:
 
 
 def right(episode: Episode) -> bool:
-    return episode.converged and episode.suspects == episode.liars
+    return episode.converged and episode.suspects == episode.attackers
 
 
 def counts(n: int, most: int) -> list[int]:
-    """Numbers of liars, spread over all that can be."""
+    """Numbers of attackers, spread over all that can be."""
     return sorted(set(np.linspace(1, n - 1, min(most, n - 1)).round().astype(int).tolist()))
 
 
@@ -89,7 +90,7 @@ def draw(rows: list[Row], args: Args) -> Path:
         axis.plot(
             every, [log2(n * comb(n, int(i))) / 2 for i in every], color="crimson", lw=1, label="log2(n C(n, k)) / 2"
         )
-        axis.set(title=f"{n} vehicles", xlabel="liars", ylim=(0, None))
+        axis.set(title=f"{n} vehicles", xlabel="attackers", ylim=(0, None))
         axis.xaxis.get_major_locator().set_params(integer=True)
     axes[0, 0].set_ylabel("frames of attack")
     axes[0, 0].legend(fontsize=7, loc="lower right")
@@ -100,10 +101,10 @@ def draw(rows: list[Row], args: Args) -> Path:
 
 def main(args: Args) -> None:
     args.out.mkdir(parents=True, exist_ok=True)
-    jobs = [(n, k) for n in args.n for k in counts(n, args.liars)]
+    jobs = [(n, k) for n in args.n for k in counts(n, args.attackers)]
     rows = [measure(args, n, k) for n, k in track(jobs, "playing")]
     title = f"frames to 99 % certainty, perfect verifier, {args.episodes} episodes a row, 95 % intervals"
-    table = Table("n", "k", "frames", "times n / 2", "exactly right %", "most looks", "ms a frame", title=title)
+    table = Table("n", "k", "frames", "times n / 2", "exactly right %", "max. verifications", "ms a frame", title=title)
     for row in rows:
         spread = (row.frames.high - row.frames.low) / 2
         cells = (

@@ -1,17 +1,17 @@
-"""`bayes` beside PRBI on similarities as the detector that ships measured them, each scene judged by the other scenes'.
+"""`bayes` and PRBI on measured similarities of the shipped detector, calibrated without the scene that is played.
 
     python examples/calibrate_likelihood.py          # measures, if that was not done
     python examples/reproduce/bayes_left_out.py
 
-Every group's view of the calibration scenes was compared with every group's of the frame before, and with everyone's of
-its own frame, while PGD lay in k = 0 … 4 of five vehicles (`calibrate_likelihood.py` keeps them). A defender that
-compares nothing else can be replayed on them exactly, since PGD heeds no defender (the quiet liars that are measured
-there as well do, and are left out here, but not out of the densities). The densities of `bayes` are those
-of the other eleven scenes; PRBI's thresholds by size were calibrated on these very scenes, which helps it.
+`calibrate_likelihood.py` compares the view of every group with the views of all groups in the frame before, and with
+the full view of its own frame, while PGD attacks in k = 0 … 4 of five vehicles. A defender that compares nothing else
+can be replayed on these similarities exactly, because PGD does not depend on the defender. The stealthy attacks that
+are measured as well depend on it. They are not replayed, but they are in the densities. The densities of `bayes` are
+those of the other eleven scenes. PRBI's thresholds by size were calibrated on all twelve scenes, which is an advantage.
 
-after: frames of attack until the defender is sure, of the episodes in which it is within the six measured; ID and MC:
-liars and innocents accused then, or in the last frame; fooled: frames in which a liar is fused; looks: verifications a
-frame, in the first abnormal frame, and the most in any.
+Frames to convergence: over the episodes that converge within the six measured frames. ID rate and MC rate: share of the
+attackers and of the benign vehicles that are flagged then, or else in the last frame. Attackers fused: frames of six in
+which an attacker is fused. Verifications: per frame, in the first abnormal frame, and the most in any frame.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from defenders import Bayes, Defender, Prbi, Verdict
 from defenders.bayes.histograms import read_likelihood
 from defenders.bayes.likelihood import Likelihood
 from examples.calibrate_likelihood import Args as Calibration
-from examples.calibrate_likelihood import Tape, densities, groups, sorted_out, stored, survey
+from examples.calibrate_likelihood import Measurement, by_kind, densities, groups, stored, survey
 
 Seen = tuple[int, int]  # frame, number of the group
 
@@ -47,10 +47,10 @@ class Args:
 
 
 @dataclass(frozen=True)
-class Shown:
-    """One frame of a tape, as a defender sees it. A similarity to a view older than measured is that to the oldest."""
+class MeasuredFrame:
+    """One measured frame as a defender sees it. A similarity to a view older than measured is that to the oldest."""
 
-    tape: Tape
+    measured: Measurement
     index: int
     n_vehicles: int
 
@@ -65,8 +65,8 @@ class Shown:
     def similarity(self, a: Seen, b: Seen) -> float:
         (then, reference), (now, group) = sorted([a, b])
         if then == now:
-            return float(self.tape.beside[now, min(reference, group)])
-        ages = self.tape.similarity[now, : now - then, group, reference]
+            return float(self.measured.full_view[now, min(reference, group)])
+        ages = self.measured.similarity[now, : now - then, group, reference]
         return float(ages[~np.isnan(ages)][-1])
 
     def agreement(self, a: Seen, b: Seen) -> float:
@@ -75,38 +75,38 @@ class Shown:
 
 
 @dataclass(frozen=True)
-class Played:
-    liars: frozenset[int]
+class Replay:
+    attackers: frozenset[int]
     verdicts: list[Verdict]
-    looks: list[int]
+    verifications: list[int]
 
 
-def play(defender: Defender, tape: Tape, n: int, seed: int) -> Played:
-    """Show a tape to a defender, frame by frame, and count."""
+def play(defender: Defender, measured: Measurement, n: int, seed: int) -> Replay:
+    """Replay a measurement to a defender, frame by frame, and count its verifications."""
     number = {group: i for i, group in enumerate(groups(n))}
-    played = Played(tape.liars, [], [])
+    played = Replay(measured.attackers, [], [])
     defender.reset(n, np.random.default_rng(seed))
-    for t in range(len(tape.similarity)):
-        inspection, looks = defender.inspect(Shown(tape, t, n)), 0
+    for t in range(len(measured.similarity)):
+        inspection, verifications = defender.inspect(MeasuredFrame(measured, t, n)), 0
         try:
             query = next(inspection)
             while True:
-                looks += len(query.groups) if query.verification else 0
+                verifications += len(query.groups) if query.verification else 0
                 query = inspection.send([(t, number[group]) for group in query.groups])
         except StopIteration as stop:
             played.verdicts.append(stop.value)
-        played.looks.append(looks)
+        played.verifications.append(verifications)
     return played
 
 
-def row(name: str, k: int, episodes: Sequence[Played]) -> list[str]:
-    """Figures of some episodes; the first frame is honest and not counted."""
-    sure = [next((t for t, v in enumerate(e.verdicts) if v.converged), None) for e in episodes]
-    final = [e.verdicts[-1 if t is None else t].suspects for e, t in zip(episodes, sure, strict=True)]
-    after = [t for t in sure if t is not None]
-    innocent = len(episodes) * (5 - k)
-    looks = np.array([e.looks[1:] for e in episodes])
-    fooled = [sum(bool(v.collaborators & e.liars) for v in e.verdicts[1:]) for e in episodes]
+def row(name: str, k: int, episodes: Sequence[Replay]) -> list[str]:
+    """Figures of some episodes; the first frame is benign and not counted."""
+    converged = [next((t for t, v in enumerate(e.verdicts) if v.converged), None) for e in episodes]
+    final = [e.verdicts[-1 if t is None else t].suspects for e, t in zip(episodes, converged, strict=True)]
+    after = [t for t in converged if t is not None]
+    benign = len(episodes) * (5 - k)
+    verifications = np.array([e.verifications[1:] for e in episodes])
+    fused = [sum(bool(v.collaborators & e.attackers) for v in e.verdicts[1:]) for e in episodes]
     interval = t_interval(after) if len(after) > 1 else None
     spread = f" ± {(interval.high - interval.low) / 2:.1f}" if interval else ""
     return [
@@ -114,18 +114,18 @@ def row(name: str, k: int, episodes: Sequence[Played]) -> list[str]:
         name,
         f"{len(after)} of {len(episodes)}",
         f"{np.mean(after):.2f}{spread}" if after else "–",
-        f"{sum(len(s & e.liars) for s, e in zip(final, episodes, strict=True)) / max(len(episodes) * k, 1):.2f}",
-        f"{sum(len(s - e.liars) for s, e in zip(final, episodes, strict=True)) / innocent:.2f}",
-        f"{np.mean(fooled):.2f}",
-        f"{looks.mean():.2f}",
-        f"{looks[:, 0].mean():.2f}",
-        str(looks.max()),
+        f"{sum(len(s & e.attackers) for s, e in zip(final, episodes, strict=True)) / max(len(episodes) * k, 1):.2f}",
+        f"{sum(len(s - e.attackers) for s, e in zip(final, episodes, strict=True)) / benign:.2f}",
+        f"{np.mean(fused):.2f}",
+        f"{verifications.mean():.2f}",
+        f"{verifications[:, 0].mean():.2f}",
+        str(verifications.max()),
     ]
 
 
-def likelihood_without(tapes: Sequence[Tape], scene: str, calibration: Calibration) -> Likelihood:
+def likelihood_without(measurements: Sequence[Measurement], scene: str, calibration: Calibration) -> Likelihood:
     """The densities of all scenes but one."""
-    values = sorted_out((tape for tape in tapes if tape.scene != scene), calibration)
+    values = by_kind((one for one in measurements if one.scene != scene), calibration)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "likelihood.json"
         path.write_text(json.dumps(stored(densities(values, calibration), calibration)))
@@ -133,20 +133,33 @@ def likelihood_without(tapes: Sequence[Tape], scene: str, calibration: Calibrati
 
 
 def main(args: Args) -> None:
-    tapes = list(survey(args.calibration))
-    known = {scene: likelihood_without(tapes, scene, args.calibration) for scene in {tape.scene for tape in tapes}}
-    players: dict[str, Callable[[Tape], Defender]] = {
-        "prbi": lambda tape: Prbi(),
-        "prbi:threshold=calibrated": lambda tape: Prbi(threshold="calibrated"),
-        "bayes": lambda tape: Bayes(likelihood=known[tape.scene]),
+    measurements = list(survey(args.calibration))
+    scenes = {one.scene for one in measurements}
+    known = {scene: likelihood_without(measurements, scene, args.calibration) for scene in scenes}
+    players: dict[str, Callable[[Measurement], Defender]] = {
+        "prbi": lambda one: Prbi(),
+        "prbi:threshold=calibrated": lambda one: Prbi(threshold="calibrated"),
+        "bayes": lambda one: Bayes(likelihood=known[one.scene]),
     }
-    columns = ("k", "defender", "sure", "after", "ID", "MC", "fooled", "looks", "at first", "most")
+    columns = (
+        "k",
+        "defender",
+        "converged",
+        "frames to convergence",
+        "ID rate (TPR)",
+        "MC rate (FPR)",
+        "attackers fused",
+        "verifications/frame",
+        "first abnormal frame",
+        "max. verifications",
+    )
     table = Table(*columns, title=f"{len(known)} scenes, {args.calibration.frames - 1} frames of PGD each")
     n = args.calibration.n_vehicles
     for k in range(n):
         for name, make in players.items():
-            mine = [tape for tape in tapes if len(tape.liars) == k and tape.attack not in args.calibration.quiet]
-            table.add_row(*row(name, k, [play(make(tape), tape, n, args.seed) for tape in mine]))
+            stealthy = args.calibration.stealthy
+            mine = [one for one in measurements if len(one.attackers) == k and one.attack not in stealthy]
+            table.add_row(*row(name, k, [play(make(one), one, n, args.seed) for one in mine]))
         table.add_section()
     Console(width=120).print(table)
 

@@ -1,19 +1,20 @@
-"""How often does a random group hold no liar? Table 1 of the PRBI paper, ours beside the paper's.
+"""Table 1 of the PRBI paper: how often a random group holds no attacker, and the paper's values.
 
     python examples/reproduce/clean_groups.py
 
-Each frame splits n vehicles into two groups and looks at both; η is the share of looks so far that were normal, a
-perfect verifier judging. The paper takes 2^-k for its limit, from which Eq. (4) reads the number k of liars, and does
-not say how the vehicles are split. Three ways are tried:
+Each frame splits n vehicles into two groups and verifies both. η is the share of verifications so far that were normal
+under a perfect verifier. The paper takes 2^-k as its limit, and Eq. (4) derives the number k of attackers from it. The
+paper does not say how the vehicles are split. Three ways are tried:
 
-    coin   every vehicle is tossed into one of two groups, and an empty group is not looked at
-    half   a random split at ⌊n/2⌋
-    even   a random split at a size drawn evenly from 1 … n - 1
+    independent   each vehicle joins either group with probability 1/2, and an empty group is not verified
+    half          a random split at ⌊n/2⌋
+    even          a random split at a size drawn evenly from 1 … n - 1
 
-"limit" is worked out over all groups. For a coin it is Eq. (3) exactly: a group is clean and not empty with probability
-2^-k - 2^-n, and not empty with 1 - 2^-n. "η" is played for as many frames as the paper's, the interval holding 95 % of
-the episodes; "frames" is how many it takes until η stays within `band` of its limit, median and the middle 90 %.
-The paper's four η fit the coin: half a fleet is never clean at k = 4, and splitting evenly is exactly 1/2 at k = 1.
+"limit" is computed over all groups. For independent draws it is exactly Eq. (3): a group is clean and not empty with
+probability 2^-k - 2^-n, and not empty with 1 - 2^-n. "η" is played for as many frames as the paper's. Its interval
+holds 95 % of the episodes. "frames" is the number of frames until η stays within `band` of its limit: the median and
+the middle 90 %. Only independent draws fit all four η of the paper: half a fleet is never clean at k = 4, and an even
+split is clean in exactly 1/2 of the verifications at k = 1.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from jaxtyping import Bool, Float
 from rich.console import Console
 from rich.table import Table
 
-SPLITS = ("coin", "half", "even")
+SPLITS = ("independent", "half", "even")
 PAPER = {
     1: (0.484, 0.500, 40, 0.491),
     2: (0.226, 0.250, 29, 0.258),
@@ -54,7 +55,7 @@ class Args:
 def in_first_group(split: str, args: Args, rng: np.random.Generator) -> Bool[np.ndarray, "E T n"]:
     """Whether a vehicle is in the first group of a frame."""
     shape = args.episodes, args.frames, args.n
-    if split == "coin":
+    if split == "independent":
         return rng.random(shape) < 0.5
     ranks = rng.random(shape).argsort(axis=2)
     cut = args.n // 2 if split == "half" else rng.integers(1, args.n, shape[:2])[..., None]
@@ -62,29 +63,29 @@ def in_first_group(split: str, args: Args, rng: np.random.Generator) -> Bool[np.
 
 
 def played(split: str, k: int, args: Args) -> Float[np.ndarray, "E T"]:
-    """η after each frame; the first k vehicles lie."""
+    """η after each frame; the first k vehicles are malicious."""
     first = in_first_group(split, args, np.random.default_rng([args.seed, SPLITS.index(split), k]))
     groups = np.stack([first, ~first])
-    looked = groups.any(axis=3)
-    clean = looked & ~groups[..., :k].any(axis=3)
-    return np.cumsum(clean.sum(axis=0), axis=1) / np.cumsum(looked.sum(axis=0), axis=1)
+    verified = groups.any(axis=3)
+    clean = verified & ~groups[..., :k].any(axis=3)
+    return np.cumsum(clean.sum(axis=0), axis=1) / np.cumsum(verified.sum(axis=0), axis=1)
 
 
 def limit(split: str, n: int, k: int) -> float:
-    """The share of looks that are normal in the long run, over all groups with their probabilities."""
-    clean = looked = 0.0
+    """The limit of the share of verifications that are normal, over all groups with their probabilities."""
+    clean = verified = 0.0
     for group in itertools.product((False, True), repeat=n):
         size = sum(group)
         if size:
             weight = chance_of_size(split, size, n) / math.comb(n, size)
-            looked += weight
+            verified += weight
             clean += weight * (not any(group[:k]))
-    return clean / looked
+    return clean / verified
 
 
 def chance_of_size(split: str, size: int, n: int) -> float:
     """That either group of a split, drawn at random of the two, is of this size."""
-    if split == "coin":
+    if split == "independent":
         return math.comb(n, size) / 2**n
     if split == "half":
         return ((size == n // 2) + (size == n - n // 2)) / 2
@@ -98,7 +99,7 @@ def settled(eta: Float[np.ndarray, "E T"], target: float, band: float) -> Float[
 
 
 def main(args: Args) -> None:
-    title = f"share of looks at random groups that are normal, n = {args.n}, {args.episodes} episodes"
+    title = f"share of verifications at random groups that are normal, n = {args.n}, {args.episodes} episodes"
     table = Table("k", "Eq. (3)", "2^-k", "split", "limit", "η [95 % of episodes]", "frames", title=title)
     figure, axes = plt.subplots(1, len(SPLITS), figsize=(12, 4), sharey=True, layout="constrained")
     frames = np.arange(1, args.frames + 1)
@@ -111,7 +112,7 @@ def main(args: Args) -> None:
             low, high = np.quantile(eta[:, horizon - 1], [0.025, 0.975])
             wait = np.quantile(settled(eta, target, args.band), [0.5, 0.05, 0.95])
             cells = f"{target:.3f}", f"{eta[:, horizon - 1].mean():.3f} [{low:.3f}, {high:.3f}]"
-            head = (str(k), f"{ideal:.3f}", f"{approximate:.3f}") if split == "coin" else ("", "", "")
+            head = (str(k), f"{ideal:.3f}", f"{approximate:.3f}") if split == "independent" else ("", "", "")
             table.add_row(*head, split, *cells, "{:.0f} [{:.0f}, {:.0f}]".format(*wait))
             low_band, high_band = np.quantile(eta, [0.05, 0.95], axis=0)
             axis.fill_between(frames, low_band, high_band, color=colours[k - 1], alpha=0.25, lw=0)
@@ -123,7 +124,7 @@ def main(args: Args) -> None:
             table.add_row("", "", "", "paper", "", f"{PAPER[k][3]:.3f}", str(PAPER[k][2]), end_section=True)
     for split, axis in zip(SPLITS, axes, strict=True):
         axis.set(title=split, xlabel="frames", xlim=(1, min(100, args.frames)), ylim=(0, 0.7))
-    axes[0].set_ylabel("η: share of looks that were normal")
+    axes[0].set_ylabel("η: share of verifications that were normal")
     axes[-1].plot([], [], "k:", lw=1, label="2^-k")
     axes[-1].plot([], [], "x", color="grey", ms=9, mew=2.5, label="the paper's")
     figure.legend(*axes[-1].get_legend_handles_labels(), loc="outside right center", fontsize=9)

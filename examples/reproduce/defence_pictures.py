@@ -3,10 +3,10 @@
     python examples/reproduce/defence_pictures.py
     python examples/reproduce/defence_pictures.py --scene test-urban-00 --fusions v2vnet --defenders none prbi bayes
 
-As in the paper, ground truth is green and predictions are red. Two of five vehicles lie from the second frame on (Sec.
-11.1: PGD, Δ = 0.3, 15 steps of 0.1); shown is one later frame, after PRBI's first verdicts. Scene, start and liars are
-the seed's; none was picked for its looks. The boxes are those the ego acts on. What is played is kept in `out`, a file
-a panel: the same command goes on where a killed run stopped.
+As in the paper, ground truth is green and predictions are red. Two of five vehicles attack from the second frame on
+(Sec. 11.1: PGD, Δ = 0.3, 15 steps of 0.1). Shown is one later frame, after PRBI's first verdicts. The seed decides the
+scene, its start and the attackers; nothing was selected. The boxes are those the ego acts on. What is played is kept in
+`out`, a file a panel: the same command goes on where a killed run stopped.
 """
 
 from __future__ import annotations
@@ -37,9 +37,11 @@ from cp_env.geometry.planar import corners
 from cp_env.rendering.camera import Camera
 from cp_env.rendering.frame import wrong_rows
 from cp_env.scenes import open_source
-from examples.reproduce.defence_tables import LIARS, attacker
+from cp_env.settings import Fusion
+from defenders.registry import Spec
+from examples.reproduce.defence_tables import N_ATTACKERS, make_attack
 
-TRUTH, SEEN, LIAR, HONEST = "tab:green", "tab:red", "black", "tab:blue"
+TRUTH, SEEN, ATTACKER, BENIGN = "tab:green", "tab:red", "black", "tab:blue"
 TITLES = {"none": "no defence", "prbi": "PRBI"}
 
 Panel = dict[str, Any]  # boxes, points and numbers of one picture, fit for JSON
@@ -52,7 +54,7 @@ class Args:
     scenes: str = "town/test"
     scene: str = "test-intersection-00"
     frame: int = 8  # of the episode
-    fusions: tuple[str, ...] = ("mean", "max", "sum", "v2vnet", "disconet")
+    fusions: tuple[Fusion, ...] = ("mean", "max", "sum", "v2vnet", "disconet")
     attack: str = "pgd"
     defenders: tuple[str, ...] = ("none", "prbi")  # against the attack; the first column is unattacked
     seed: int = 0
@@ -62,30 +64,29 @@ class Args:
 
 def panels(args: Args) -> dict[tuple[str, str], Panel]:
     """By fusion and title of the column: played, or read where they are kept."""
-    attack, _ = evaluation.parse(args.attack)
+    attack = Spec.parse(args.attack).name
     columns = [("no attack", "none", "none")]
     columns += [(f"{attack.upper()}, {TITLES.get(one, one)}", one, args.attack) for one in args.defenders]
     jobs = [(fusion, *column) for fusion in args.fusions for column in columns]
-    made = {}
+    made: dict[tuple[str, str], Panel] = {}
     for fusion, title, defender, attack in track(jobs, "playing", console=Console(stderr=True)):
-        protocol = evaluation.Protocol(args.scenes, (args.scene,), args.frame + 1, fusion=fusion)
-        cell = evaluation.Cell(defender, attack, LIARS, args.seed, protocol.names)
-        bank = evaluation.open_bank(protocol)
-        key = zlib.crc32(cell.slug(protocol, bank.detector.digest).encode())
+        conditions = evaluation.Conditions(args.scenes, (args.scene,), args.frame + 1, fusion=fusion)
+        run = evaluation.Run(defender, attack, N_ATTACKERS, args.seed, conditions.names)
+        bank = evaluation.open_bank(conditions)
+        key = zlib.crc32(run.slug(conditions, bank.detector.digest).encode())
         path = args.out / "panels" / f"{fusion}-{defender}-{attack}-{key:08x}.json".replace(":", "-")
         if not path.exists():
-            write_atomically(path, json.dumps(play(cell, protocol)) + "\n")
+            write_atomically(path, json.dumps(play(run, conditions)) + "\n")
         made[fusion, title] = json.loads(path.read_text())
     return made
 
 
-def play(cell: evaluation.Cell, protocol: evaluation.Protocol) -> Panel:
+def play(run: evaluation.Run, conditions: evaluation.Conditions) -> Panel:
     """The last frame of the episode."""
-    name, knobs = evaluation.parse(cell.attack)
-    stage = evaluation.Stage(cell, protocol, evaluation.open_bank(protocol), attacker(name, **knobs))
-    camera = Camera(stage.world)
-    for _ in range(protocol.frames):
-        camera.watch(stage.move())
+    rollout = evaluation.Rollout(run, conditions, evaluation.open_bank(conditions), make_attack(run.attack))
+    camera = Camera(rollout.world)
+    for _ in range(conditions.frames):
+        camera.record(rollout.step())
     picture = camera.picture(0)
     tall = np.concatenate(picture.points)
     tall = tall[(tall[:, 2] > 0.3) & (np.abs(tall[:, :2]) <= picture.extent).all(axis=1)]
@@ -95,7 +96,7 @@ def play(cell: evaluation.Cell, protocol: evaluation.Protocol) -> Panel:
         "places": picture.places.round(2).tolist(),
         "truth": picture.truth.round(2).tolist(),
         "seen": np.round(picture.output.boxes, 2).tolist(),
-        "liars": sorted(picture.liars) if cell.attack != "none" else [],
+        "attackers": sorted(picture.attackers) if run.attack != "none" else [],
         "fused": sorted(picture.collaborators),
         "ghosts": len(ghosts),
         "missed": len(missed),
@@ -120,8 +121,8 @@ def draw(made: dict[tuple[str, str], Panel], path: Path) -> Path:
     handles = [
         Line2D([], [], color=TRUTH, label="ground truth"),
         Line2D([], [], color=SEEN, label="predictions"),
-        Line2D([], [], ls="none", marker="o", color=HONEST, label="honest vehicle"),
-        Line2D([], [], ls="none", marker="X", color=LIAR, label="liar"),
+        Line2D([], [], ls="none", marker="o", color=BENIGN, label="benign vehicle"),
+        Line2D([], [], ls="none", marker="X", color=ATTACKER, label="attacker"),
         Line2D([], [], ls="none", marker="o", mfc="none", mec="0.4", ms=12, label="fused"),
     ]
     figure.legend(handles=handles, loc="outside upper center", ncols=len(handles), frameon=False)
@@ -137,8 +138,15 @@ def show(axis: Axes, panel: Panel, title: str) -> None:
     for name, colour, width in (("truth", TRUTH, 2.2), ("seen", SEEN, 1.3)):
         axis.add_collection(PolyCollection(list(outlines(panel[name])), facecolors="none", edgecolors=colour, lw=width))
     for number, (x, y) in enumerate(panel["places"]):
-        liar = number in panel["liars"]
-        axis.plot(x, y, "X" if liar else "o", color=LIAR if liar else HONEST, ms=7 if liar else 5, clip_on=True)
+        attacker = number in panel["attackers"]
+        axis.plot(
+            x,
+            y,
+            "X" if attacker else "o",
+            color=ATTACKER if attacker else BENIGN,
+            ms=7 if attacker else 5,
+            clip_on=True,
+        )
         if number in panel["fused"]:
             axis.plot(x, y, "o", mfc="none", mec="0.4", ms=12)
     axis.set_title(f"{title}\n{panel['missed']} missed, {panel['ghosts']} ghosts", fontsize=10)

@@ -1,16 +1,16 @@
-"""Tables 3, 6 and 7 of the paper: what a defended ego detects, ours beside the paper's; n = 5, k = 2.
+"""Tables 3, 6 and 7 of the paper: AP of a defended ego, ours and the paper's; n = 5, k = 2.
 
     python examples/reproduce/defence_tables.py --table 3       # every defence and fusion, PGD, BIM and C&W
     python examples/reproduce/defence_tables.py --table 6       # attacks in every, every third and every fifth frame
     python examples/reproduce/defence_tables.py --table 7       # thresholds ε of PRBI
 
-Upper bound: everyone fused and honest; lower bound: the ego alone. The attacks are those of Sec. 11.1: Δ = 0.3, 15
-steps of 0.1, PGD from a random start, BIM and C&W from zero, both liars jointly. The liars are drawn anew for every
-scene, the ego among those who may be drawn, as in the paper's threat model; the first frame is honest. AP counts every
-vehicle in range, seen or hidden, in all frames, also in those before a defender is sure; 95 % intervals are over
-scenes, bootstrapped for AP, Student's t elsewhere. ROBOSAC is told k and draws teams of n - k until one passes, which
-is the reading that gives the paper's Table 2. PASAC has thresholds calibrated for each fusion: its published one was
-made for segmentation and lets nearly every lie pass. PRBI is as published, and with calibrated thresholds.
+Upper bound: everyone fused and benign; lower bound: the ego alone. The attacks are those of Sec. 11.1: Δ = 0.3, 15
+steps of 0.1, PGD from a random start, BIM and C&W from zero, both attackers jointly. The attackers are drawn anew for
+every scene, the ego among those who may be drawn, as in the paper's threat model; the first frame is benign. AP counts
+every vehicle in range, seen or hidden, in all frames, also in those before a defender has converged; 95 % intervals are
+over scenes, bootstrapped for AP, Student's t elsewhere. ROBOSAC is given k and draws teams of n - k until one passes,
+which is the reading that gives the paper's Table 2. PASAC has thresholds calibrated for each fusion: its published one
+was made for segmentation and lets nearly every perturbation pass. PRBI is as published, and with calibrated thresholds.
 
 What is played is kept in `out`: the same command goes on where a killed run stopped, and with a multiple of
 `--n-scenes` it adds to it. An attack that knows of no defence is computed once for all defenders. The paper's figures
@@ -36,18 +36,19 @@ from rich.console import Console
 from rich.progress import Progress
 
 import agents
-from agents.attacks.cached import Remembered
+from agents.attacks.cached import CachedAttack
 from cp_env import evaluation
 from cp_env.metrics.intervals import Interval
 from cp_env.scenes import open_source
+from cp_env.settings import Fusion
 from examples.reproduce.paper_tables import TABLES, Line, PaperTable
 
-LIARS = 2
+N_ATTACKERS = 2
 TITLES = {
     "ap50": "AP@0.5 in %",
     "ap70": "AP@0.7 in %",
-    "id_rate": "liars identified, %",
-    "mc_rate": "honest misclassified, %",
+    "id_rate": "attackers identified, %",
+    "mc_rate": "benign misclassified, %",
     "frames_to_convergence": "frames to convergence",
 }
 COLOURS = ("tab:blue", "tab:orange")  # of a panel's one or two figures
@@ -58,13 +59,13 @@ Found = dict[tuple[str, str], Figures]  # by fusion and label
 
 @dataclass(frozen=True)
 class Args:
-    """Defences on test scenes, beside the paper's figures."""
+    """Defences on test scenes, with the paper's figures."""
 
     table: int = 3  # or 6, 7
     scenes: str = "town/test"
     n_scenes: int = 6  # spread evenly over the source's list, so over its three kinds
     frames: int = 20  # of each, from one drawn by the seed
-    fusions: tuple[str, ...] | None = None  # by default the table's
+    fusions: tuple[Fusion, ...] | None = None  # by default the table's
     seed: int = 0
     workers: int = 1  # processes
     threads: int = 1  # torch threads of each
@@ -72,53 +73,53 @@ class Args:
 
 
 @lru_cache(maxsize=8)
-def attacker(name: str, **knobs: Any) -> evaluation.Attacker:
-    """The attacker of that name, which all cells of a process share."""
-    return Remembered(agents.make(name, **knobs))
+def make_attack(name: str, **options: Any) -> evaluation.Attack:
+    """The attack of that name, which all runs of a process share."""
+    return CachedAttack(agents.make(name, **options))
 
 
 def measure(args: Args, table: PaperTable) -> Found:
     """Play what is not there yet; the figures of every fusion and line."""
     names = open_source(args.scenes).names()
     chosen = tuple(names[i * len(names) // args.n_scenes] for i in range(args.n_scenes))
-    crew = evaluation.Crew(make_attacker=attacker, workers=args.workers, threads=args.threads)
+    workers = evaluation.Workers(make_attack=make_attack, processes=args.workers, threads=args.threads)
     found: Found = {}
     with Progress(console=Console(stderr=True)) as progress:
         for fusion in args.fusions or table.fusions:
-            protocol = evaluation.Protocol(args.scenes, chosen, args.frames, fusion=fusion)
-            cells = plan(protocol, table, args)
-            store = evaluation.Store(args.out, evaluation.open_bank(protocol).detector.digest)
-            bar = progress.add_task(fusion, total=len(chosen) + len(cells))
-            for _ in evaluation.prepare(cells, protocol, crew):
+            conditions = evaluation.Conditions(args.scenes, chosen, args.frames, fusion=fusion)
+            runs = plan(conditions, table, args)
+            store = evaluation.Store(args.out, evaluation.open_bank(conditions).detector.digest)
+            bar = progress.add_task(fusion, total=len(chosen) + len(runs))
+            for _ in evaluation.prepare(runs, conditions, workers):
                 progress.advance(bar)
-            for _ in evaluation.run(cells, protocol, store, crew):
+            for _ in evaluation.execute(runs, conditions, store, workers):
                 progress.advance(bar)
-            played = store.load(cells, protocol)
-            found |= {(fusion, line.label): figures(line, played) for line in table.lines}
+            results = store.load(runs, conditions)
+            found |= {(fusion, line.label): figures(line, results) for line in table.lines}
     return found
 
 
-def plan(protocol: evaluation.Protocol, table: PaperTable, args: Args) -> list[evaluation.Cell]:
-    """Every cell once, a scene each; one after the other those that play the same attack on the same scene."""
-    cells = {
-        cell: None
+def plan(conditions: evaluation.Conditions, table: PaperTable, args: Args) -> list[evaluation.Run]:
+    """Every run once, a scene each; those that play the same attack on the same scene follow each other."""
+    runs = {
+        run: None
         for line in table.lines
-        for cell in evaluation.plan(
-            protocol, defenders=(line.defender,), attacks=line.attacks, ks=(LIARS,), seeds=(args.seed,), batch=1
+        for run in evaluation.plan_runs(
+            conditions, defenders=(line.defender,), attacks=line.attacks, ks=(N_ATTACKERS,), seeds=(args.seed,), batch=1
         )
     }
-    return sorted(cells, key=lambda cell: (cell.names, cell.attack))
+    return sorted(runs, key=lambda run: (run.names, run.attack))
 
 
-def figures(line: Line, played: dict[evaluation.Cell, tuple[evaluation.Record, ...]]) -> Figures:
+def figures(line: Line, results: dict[evaluation.Run, tuple[evaluation.Record, ...]]) -> Figures:
     """AP averaged over the line's attacks; the other figures over the episodes of all of them."""
-    mine = {cell: records for cell, records in played.items() if cell.defender == line.defender}
-    groups = [[r for cell, of in mine.items() if cell.attack == attack for r in of] for attack in line.attacks]
-    as_one: dict[evaluation.Cell, list[evaluation.Record]] = {}
-    for cell, of in mine.items():
-        if cell.attack in line.attacks:
-            as_one.setdefault(replace(cell, attack="all"), []).extend(of)
-    (row,) = evaluation.summarise(as_one, resamples=1)  # its own AP is not looked at
+    mine = {run: records for run, records in results.items() if run.defender == line.defender}
+    groups = [[r for run, of in mine.items() if run.attack == attack for r in of] for attack in line.attacks]
+    as_one: dict[evaluation.Run, list[evaluation.Record]] = {}
+    for run, of in mine.items():
+        if run.attack in line.attacks:
+            as_one.setdefault(replace(run, attack="all"), []).extend(of)
+    (row,) = evaluation.summarise(as_one, resamples=1)  # its own AP is not used
     others = {name: getattr(row, name) for name in TITLES if not name.startswith("ap")}
     return {"ap50": evaluation.mean_ap(groups, 0.5), "ap70": evaluation.mean_ap(groups, 0.7), **others}
 

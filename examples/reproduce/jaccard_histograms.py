@@ -1,14 +1,14 @@
-"""Sec. 8 and Fig. 6 of the paper: how alike are the ego's outputs in consecutive frames, honest and attacked?
+"""Sec. 8 and Fig. 6 of the paper: similarity of the ego's outputs in consecutive frames, benign and attacked.
 
     python examples/reproduce/jaccard_histograms.py                                              # a few minutes
     python examples/reproduce/jaccard_histograms.py --n-scenes 4 --frames 16 --fusions mean max sum v2vnet disconet
 
 For every kind of scene (urban, suburban, intersection) and fusion, histograms of the Jaccard similarity, Eq. (5), of
-the outputs of consecutive frames: upper bound (everyone fused, nobody lying), lower bound (the ego alone), and BIM, C&W
-and PGD (Sec. 11.1: Δ = 0.3, 15 steps of 0.1) in two of five vehicles, drawn anew for each scene. Both frames of a pair
-are attacked, as we read the paper; how alike the attacked frame is to the honest view of the frame before, which is
-what a defence compares, is written beside it (`to_honest`). The table has the mean over scenes with its 95 % interval
-(Student's t). What is played is kept in `out`: the same command goes on where a killed run stopped.
+the outputs of consecutive frames. The upper bound fuses all vehicles without an attack. The lower bound is the ego
+alone. BIM, C&W and PGD (Sec. 11.1: Δ = 0.3, 15 steps of 0.1) attack in two of five vehicles, drawn anew for each scene.
+Both frames of a pair are attacked, as we read the paper. `to_benign` is the similarity of the attacked frame to the
+benign view of the frame before, which is what a defence compares. The table has the mean over scenes with its 95 %
+interval (Student's t). What is played is kept in `out`: the same command goes on where a killed run stopped.
 """
 
 from __future__ import annotations
@@ -34,13 +34,14 @@ from cp_env.detector import load_detector
 from cp_env.metrics.intervals import t_interval
 from cp_env.metrics.similarity import view_similarity_many
 from cp_env.scenes import open_source
+from cp_env.settings import Fusion
 from cp_env.types import SceneSource
 from cp_env.world.scene_cache import SceneBank
 from cp_env.world.world import World
 
 CONDITIONS = {"upper bound": "none", "lower bound": "none", "BIM": "bim", "C&W": "cw", "PGD": "pgd"}
 KINDS = {"urban": "tab:blue", "suburban": "tab:orange", "intersection": "tab:green"}  # and their colours
-Values = dict[str, list[float]]  # similarities to the output, and to the honest view, of the frame before
+Values = dict[str, list[float]]  # similarities to the output, and to the benign view, of the frame before
 Found = dict[tuple[str, str, str], list[Values]]  # by fusion, condition and kind; one entry a scene
 
 
@@ -51,7 +52,7 @@ class Args:
     scenes: str = "town/test"
     n_scenes: int = 2  # of each kind
     frames: int = 11  # of each scene, from its first on
-    fusions: tuple[str, ...] = ("v2vnet",)  # the paper's backbone; also mean, max, sum, disconet
+    fusions: tuple[Fusion, ...] = ("v2vnet",)  # the paper's backbone; also mean, max, sum, disconet
     n_vehicles: int = 5
     n_attackers: int = 2
     seed: int = 0
@@ -89,13 +90,13 @@ def of_kind(source: SceneSource, kind: str) -> list[str]:
     return [name for name in source.names() if source.load(name).kind == kind]
 
 
-def play(bank: SceneBank, fusion: str, condition: str, name: str, args: Args) -> Values:
+def play(bank: SceneBank, fusion: Fusion, condition: str, name: str, args: Args) -> Values:
     """One scene under one condition: the similarity of every output to the frame before."""
-    seed = [args.seed, zlib.crc32(name.encode())]  # the same liars whatever the fusion and the attack
-    alone, attack = condition == "lower bound", CONDITIONS[condition]
+    seed = [args.seed, zlib.crc32(name.encode())]  # the same attackers whatever the fusion and the attack
+    ego_only, attack = condition == "lower bound", CONDITIONS[condition]
     world = World(
         1,
-        defender="ego_only" if alone else "none",
+        defender="ego_only" if ego_only else "none",
         bank=bank,
         fusion=fusion,
         n_vehicles=args.n_vehicles,
@@ -104,25 +105,25 @@ def play(bank: SceneBank, fusion: str, condition: str, name: str, args: Args) ->
         max_frames=args.frames,
     )
     world.reset([np.random.SeedSequence(seed)], options={"scene": name, "start": 0})
-    attacker = agents.make(attack)
-    attacker.reset(1, np.random.default_rng(seed))
-    outcomes = [world.step(attacker.act(world.situation())) for _ in range(args.frames)]
+    attack_instance = agents.make(attack)
+    attack_instance.reset(1, np.random.default_rng(seed))
+    outcomes = [world.step(attack_instance.act(world.situation())) for _ in range(args.frames)]
     output = [outcome.output[0] for outcome in outcomes]
-    honest = output if alone else [outcome.clean[0] for outcome in outcomes]
+    benign = output if ego_only else [outcome.clean[0] for outcome in outcomes]
     return {
         "to_output": view_similarity_many(list(itertools.pairwise(output))).tolist(),
-        "to_honest": view_similarity_many(list(zip(honest[:-1], output[1:], strict=True))).tolist(),
+        "to_benign": view_similarity_many(list(zip(benign[:-1], output[1:], strict=True))).tolist(),
     }
 
 
 def table(found: Found, args: Args) -> Table:
     """Mean similarity of consecutive outputs, over scenes; the last column pools the kinds."""
-    made = Table("fusion", "condition", *KINDS, "all", "all, to the honest frame before", box=None, pad_edge=False)
+    made = Table("fusion", "condition", *KINDS, "all", "all, to the benign frame before", box=None, pad_edge=False)
     for fusion, condition in itertools.product(args.fusions, CONDITIONS):
         scenes = {kind: found[fusion, condition, kind] for kind in KINDS}
         pooled = [scene for kind in KINDS for scene in scenes[kind]]
         cells = [t_interval([np.mean(scene["to_output"]) for scene in part]) for part in (*scenes.values(), pooled)]
-        cells.append(t_interval([np.mean(scene["to_honest"]) for scene in pooled]))
+        cells.append(t_interval([np.mean(scene["to_benign"]) for scene in pooled]))
         made.add_row(fusion, condition, *(f"{cell:.2f}" for cell in cells))
     return made
 

@@ -1,4 +1,4 @@
-"""What Tables 3, 6 and 7 of the paper set side by side, with their figures, as data.
+"""The rows and figures of the paper's Tables 3, 6 and 7, as data.
 
 Source: "All Vehicles Can Lie", Tables 3, 6 (Sec. 11.3) and 7 (Sec. 11.4): V2X-Sim, n = 5, k = 2; AP and rates in
 per cent. The last three rows of Table 3 are averages over its three attacks, as PRBI's own figures show. The paper
@@ -11,7 +11,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-FUSIONS = ("mean", "max", "sum", "v2vnet", "disconet")
+from cp_env.settings import Fusion
+
+FUSIONS: tuple[Fusion, ...] = ("mean", "max", "sum", "v2vnet", "disconet")
 ATTACKS = ("pgd", "bim", "cw")
 NAMES = {"pgd": "PGD", "bim": "BIM", "cw": "C&W"}
 
@@ -32,7 +34,7 @@ class Line:
 class PaperTable:
     """One table: its rows, the fusions they are played with, and which figures are set side by side."""
 
-    fusions: tuple[str, ...]
+    fusions: tuple[Fusion, ...]
     figures: tuple[str, ...]
     lines: tuple[Line, ...]
 

@@ -1,18 +1,26 @@
-"""Attacks on the defence itself, under a verifier that sees every lie: every serious defender, PRBI also corrected.
+"""Attacks on the logic of the defence under a perfect verifier: PRBI in four versions, ROBOSAC, PASAC and `bayes`.
 
     python examples/reproduce/prbi_attacks.py                                    # PRBI in four versions, and the others
-    python examples/reproduce/prbi_attacks.py --defenders prbi mine.BestPair     # any defenders
+    python examples/reproduce/prbi_attacks.py --defenders prbi mine:BestPair     # any defenders
 
-"all along" is the paper's attack. "first frame": the frame that the paper trusts is a lie too. "every 3", "every 5":
-all lie in every third or fifth frame (Table 6). "turncoat": one of the liars is honest until frame 20. "out of step":
-one liar lies always, the others in every third frame. "all but one", "nobody": k = 4, and k = 0 for 1,000 frames.
-"framing": one vehicle's lie shows only in groups with vehicle 0, which is honest: no verdict on groups tells the two
-apart. "appears": one of the liars is not there before frame 20. "drops out": an honest vehicle is away in frames 2 to
-21. "comes and goes": the liars are there in every third frame only, and lie then.
+Situations, with n = 5 vehicles and k = 2 attackers unless stated otherwise:
 
-sure: share of the episodes that have converged in the last frame; right: where exactly the liars are accused then; ID
-and MC: share of the liars and of the innocents accused then; fooled: frames of 40 (1,000) in which the ego acted on a
-view that was wrong; looks: verifications a frame, and the most in any.
+* "all along": the paper's attack, in every frame but the first.
+* "first frame": the attack begins in the first frame, which the paper trusts.
+* "every 3", "every 5": all attackers are active in every third or fifth frame (Table 6).
+* "turncoat": one of the attackers is benign until frame 20.
+* "out of step": one attacker is active in all frames, the others in every third frame.
+* "all but one", "nobody": k = 4; k = 0 for 1,000 frames.
+* "framing": k = 1. The perturbation shows only in groups that contain vehicle 0, which is benign. Verdicts on groups
+  cannot separate the two vehicles.
+* "appears": one of the attackers is absent before frame 20.
+* "drops out": a benign vehicle is absent in frames 2 to 21.
+* "comes and goes": the attackers are present, and active, in every third frame only.
+
+Convergence rate: share of the episodes that have converged in the last frame. Exact: share in which exactly the
+attackers are flagged then. ID rate and MC rate: share of the attackers and of the benign vehicles that are flagged
+then. Fooled: frames of 40 (1,000) in which the ego's output was contaminated. Verifications: per frame, and the most in
+any frame.
 """
 
 from __future__ import annotations
@@ -28,42 +36,42 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from cp_env.evaluation.execution.rollout import open_defender
+import defenders
 from defenders import Defender
-from defenders.simulation.statistics import Tally, members, play_many
+from defenders.simulation.statistics import EpisodeStats, members, play_many
 from defenders.simulation.verifier import Group
-from defenders.simulation.world import Schedule, Terms, every, turning
+from defenders.simulation.world import Scenario, Schedule, every, turning
 
-FIVE = Terms(n_vehicles=5, n_liars=2, max_frames=40, until_converged=False)
-
-
-def out_of_step(frame: int, liars: Group) -> Group:
-    """The first of them always lies, the others in every third frame."""
-    return liars if frame % 3 == 0 else frozenset(sorted(liars)[:1])
+FIVE = Scenario(n_vehicles=5, n_attackers=2, max_frames=40, until_converged=False)
 
 
-def framing(group: Group, lying: Group, rng: np.random.Generator) -> float:
-    """The lie shows in groups that hold vehicle 0, and nowhere else."""
-    return float(not lying or 0 not in group)
+def out_of_step(frame: int, attackers: Group) -> Group:
+    """The first attacker is always active, the others in every third frame."""
+    return attackers if frame % 3 == 0 else frozenset(sorted(attackers)[:1])
 
 
-def late(frame: int, liars: Group) -> Group:
-    """The liar of highest number is not there before frame 20."""
-    return frozenset(sorted(liars)[-1:]) if frame < 20 else frozenset()
+def framing(group: Group, active: Group, rng: np.random.Generator) -> float:
+    """The perturbation shows in groups that contain vehicle 0, and in no others."""
+    return float(not active or 0 not in group)
 
 
-def holiday(frame: int, liars: Group) -> Group:
-    """The honest vehicle of lowest number, but never the ego, is away in the frames 2 to 21."""
-    return frozenset({min({1, 2, 3, 4} - liars)}) if 2 <= frame < 22 else frozenset()
+def late(frame: int, attackers: Group) -> Group:
+    """The attacker of highest number is absent before frame 20."""
+    return frozenset(sorted(attackers)[-1:]) if frame < 20 else frozenset()
 
 
-def seldom_there(frame: int, liars: Group) -> Group:
-    """The liars, but never the ego, are away in two of three frames."""
-    return liars - {0} if (frame - 1) % 3 else frozenset()
+def holiday(frame: int, attackers: Group) -> Group:
+    """The benign vehicle of lowest number, but never the ego, is absent in the frames 2 to 21."""
+    return frozenset({min({1, 2, 3, 4} - attackers)}) if 2 <= frame < 22 else frozenset()
 
 
-def absent(who: Schedule, **knobs: Any) -> Terms:
-    return replace(FIVE, absent=who, **knobs)
+def seldom_there(frame: int, attackers: Group) -> Group:
+    """The attackers, but never the ego, are absent in two of three frames."""
+    return attackers - {0} if (frame - 1) % 3 else frozenset()
+
+
+def absent(schedule: Schedule, **options: Any) -> Scenario:
+    return replace(FIVE, absent=schedule, **options)
 
 
 SITUATIONS = {
@@ -73,14 +81,14 @@ SITUATIONS = {
     "every 5": replace(FIVE, schedule=every(5, start=1)),
     "turncoat": replace(FIVE, schedule=turning(20)),
     "out of step": replace(FIVE, schedule=out_of_step),
-    "all but one": replace(FIVE, n_liars=4),
-    "nobody": replace(FIVE, n_liars=0, max_frames=1000),
-    "framing": replace(FIVE, n_liars=1, honest={0}, likeness=framing),
+    "all but one": replace(FIVE, n_attackers=4),
+    "nobody": replace(FIVE, n_attackers=0, max_frames=1000),
+    "framing": replace(FIVE, n_attackers=1, benign={0}, similarity_model=framing),
     "appears": absent(late),
     "drops out": absent(holiday),
-    "comes and goes": absent(seldom_there, schedule=every(3, start=1)),
+    "comes and goes": replace(FIVE, absent=seldom_there, schedule=every(3, start=1)),
 }
-PRBI = ("prbi", "prbi:rearm=True", "prbi:stopping=robust", "prbi:stopping=robust,rearm=True")
+PRBI = ("prbi", "prbi:rearm=True", "robust_prbi", "robust_prbi:rearm=True")
 OTHERS = ("robosac", "pasac:score=similarity", "bayes:likelihood=perfect")
 
 
@@ -95,45 +103,58 @@ class Args:
 
 @dataclass(frozen=True)
 class Row:
-    sure: float
-    right: float
-    ID: float | None
-    MC: float
+    convergence_rate: float
+    exact_identification: float
+    id_rate: float | None
+    mc_rate: float
     fooled: float  # frames an episode
-    looks: float  # a frame
-    most: int
+    verifications: float  # a frame
+    max_verifications: int
 
 
-def measure(defender: Defender, terms: Terms, episodes: int, seed: int) -> Row:
-    tally = play_many(defender, terms, episodes=max(episodes * 40 // terms.max_frames, 1), seed=seed)
+def measure(defender: Defender, scenario: Scenario, episodes: int, seed: int) -> Row:
+    stats = play_many(defender, scenario, episodes=max(episodes * 40 // scenario.max_frames, 1), seed=seed)
     return Row(
-        sure=float(tally.converged.mean()),
-        right=float(tally.solved.mean()),
-        ID=float(tally.identified.mean()) if terms.n_liars else None,
-        MC=float(tally.wronged.mean()),
-        fooled=float(fooled(tally, terms).sum(axis=1).mean()),
-        looks=float(tally.all_verifications.mean()),
-        most=int(tally.all_verifications.max()),
+        convergence_rate=float(stats.converged.mean()),
+        exact_identification=float(stats.exact_identification.mean()),
+        id_rate=float(stats.identified.mean()) if scenario.n_attackers else None,
+        mc_rate=float(stats.false_accusation_rate.mean()),
+        fooled=float(fooled(stats, scenario).sum(axis=1).mean()),
+        verifications=float(stats.all_verifications.mean()),
+        max_verifications=int(stats.all_verifications.max()),
     )
 
 
-def fooled(tally: Tally, terms: Terms) -> np.ndarray:
-    """Whether the output of a frame was wrong [E, T]."""
-    wrong = tally.deceived > 0
-    return wrong & members(tally.fused, tally.n_vehicles)[..., 0] if terms.likeness is framing else wrong
+def fooled(stats: EpisodeStats, scenario: Scenario) -> np.ndarray:
+    """Whether the output of a frame was contaminated [E, T]."""
+    fused = stats.fused_attackers > 0
+    return fused & members(stats.fused, stats.n_vehicles)[..., 0] if scenario.similarity_model is framing else fused
 
 
 def main(args: Args) -> None:
     rows = {
-        f"{situation} | {name}": measure(open_defender(name), terms, args.episodes, args.seed)
-        for situation, terms in track(SITUATIONS.items(), "playing", transient=True)
+        f"{situation} | {name}": measure(defenders.make(name), scenario, args.episodes, args.seed)
+        for situation, scenario in track(SITUATIONS.items(), "playing", transient=True)
         for name in args.defenders
     }
-    table = Table("lies", "defender", "sure", "right", "ID", "MC", "fooled", "looks", "most")
+    table = Table(
+        "situation",
+        "defender",
+        "convergence rate",
+        "exact",
+        "ID rate (TPR)",
+        "MC rate (FPR)",
+        "fooled",
+        "verifications/frame",
+        "max. verifications",
+    )
     for i, (key, row) in enumerate(rows.items(), 1):
         situation, name = key.split(" | ")
-        shares = [f"{x:.2f}" if x is not None else "–" for x in (row.sure, row.right, row.ID, row.MC)]
-        figures = [*shares, f"{row.fooled:.1f}", f"{row.looks:.2f}", str(row.most)]
+        shares = [
+            f"{x:.2f}" if x is not None else "–"
+            for x in (row.convergence_rate, row.exact_identification, row.id_rate, row.mc_rate)
+        ]
+        figures = [*shares, f"{row.fooled:.1f}", f"{row.verifications:.2f}", str(row.max_verifications)]
         table.add_row(situation, name, *figures, end_section=i % len(args.defenders) == 0)
     Console(width=120).print(table)
     args.out.parent.mkdir(parents=True, exist_ok=True)

@@ -1,11 +1,11 @@
-"""PRBI's Fig. 4: how m converges in fleets of 6 to 20 vehicles, with a fixed number and with a fixed share of liars.
+"""PRBI's Fig. 4: how m converges in fleets of 6 to 20 vehicles, with a fixed number and a fixed share of attackers.
 
     python examples/reproduce/prbi_fleets.py
 
-Perfect verifier, PRBI goes on verifying without end. "ranked": the abnormal frame from which on exactly the liars have
-probability zero; "close": the one from which on |m - k| < 0.5; medians over runs, with the range; "–" if not within
---frames in the median run. The paper names neither its k nor its shares; it has m converge in about 100 frames at
-n = 15 and 500 at n = 20 with a fixed share, and slower for larger n with a fixed k.
+The verifier is perfect, and PRBI goes on verifying. "ranked" is the abnormal frame from which on exactly the attackers
+have probability zero. "close" is the one from which on |m - k| < 0.5. Both are medians over runs, with the range, and
+"–" if the median run does not reach it within --frames. The paper names neither its k nor its shares. Its m converges
+in about 100 frames at n = 15 and 500 at n = 20 with a fixed share, and more slowly for larger n with a fixed k.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from rich.progress import track
 from rich.table import Table
 
 from defenders import Prbi
-from defenders.simulation.world import PerfectWorld
+from defenders.simulation.world import SimulatedWorld
 
 
 @dataclass
 class Args:
     vehicles: tuple[int, ...] = (6, 8, 10, 12, 15, 20)
     fixed: tuple[int, int] = (2, 4)
-    """numbers of liars"""
+    """numbers of attackers"""
     shares: tuple[float, float] = (0.3, 0.4)
     """of the vehicles, rounded to the nearest number"""
     frames: int = 1000
@@ -51,10 +51,10 @@ class Row:
 
 
 def watch(n: int, k: int, seed: int, frames: int) -> tuple[np.ndarray, np.ndarray]:
-    """m, and whether exactly the liars have probability zero, after each abnormal frame."""
-    defender, world = Prbi(stopping="never"), PerfectWorld(n, frozenset(range(k)))
+    """m, and whether exactly the attackers have probability zero, after each abnormal frame."""
+    defender, world = Prbi(stopping="never"), SimulatedWorld(n, frozenset(range(k)))
     defender.reset(n, np.random.default_rng(seed))
-    world.judge(defender, lying=False)
+    world.judge(defender, attack=False)
     m, right = np.empty(frames), np.empty(frames, dtype=bool)
     for i in range(frames):
         world.judge(defender)
@@ -89,7 +89,7 @@ def draw(rows: list[Row], args: Args) -> None:
         for i, row in enumerate(row for row in rows if row.panel == panel):
             axis.plot(range(1, args.frames + 1), row.m, color=f"C{i}", linewidth=1, label=f"n = {row.n}, k = {row.k}")
             axis.axhline(row.k, color=f"C{i}", linestyle=":", linewidth=0.8)
-        axis.set(title=panel, xscale="log", ylabel="estimated liars m, Eq. (9)")
+        axis.set(title=panel, xscale="log", ylabel="estimated attackers m, Eq. (9)")
         axis.legend(fontsize="small", ncols=2, loc="upper right")
         axis.set_ylim(0, 1.45 * max(max(row.m[1:]) for row in rows if row.panel == panel))
     for axis in axes[1]:

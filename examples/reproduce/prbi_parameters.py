@@ -1,19 +1,19 @@
-"""PRBI's Tables 4 and 5: attacker ratio, confidence level α and window w of the t-test (n = 5), beside the paper's.
+"""PRBI's Tables 4 and 5: attacker ratio, confidence level α and window w of the t-test (n = 5), ours and the paper's.
 
     python examples/reproduce/prbi_parameters.py              # under a perfect verifier
-    python examples/reproduce/prbi_parameters.py --detector   # on the detector, PGD lying; goes on where it stopped
+    python examples/reproduce/prbi_parameters.py --detector   # on the detector under PGD; goes on where it stopped
 
-A run lasts from the first frame of the attack to convergence, or to the end of the scene (100 frames, as in V2X-Sim):
-one that never converges counts as 99. min, max: verifications of any frame; low, high: of a run's cheapest and dearest
-frame, averaged over runs; mean: of all frames. ID and MC: percent of the liars and of the innocents convicted, of the
-runs that converged. Means of ours have 95 % intervals.
+A run lasts from the first frame of the attack to convergence, or to the end of the scene (100 frames, as in V2X-Sim).
+One that never converges counts as 99 frames. min, max: verifications of any frame. low, high: verifications of a run's
+cheapest and costliest frame, averaged over runs. mean: verifications of all frames. ID rate and MC rate: percent of the
+attackers and of the benign vehicles that are flagged, of the runs that converged. Our means have 95 % intervals.
 
 α and w hardly matter while the second condition decides: at n = 5 most runs stop within 7 frames, where Eq. (14)
-accepts even a ramp of m (`prbi_stopping.py`). With a large α some runs never stop, and it is they who make the mean:
-the paper's 10 frames at α = 0.2 and 80 % liars, at a lower mean of verifications, look like that, too. Ours differs in
-two things. A frame may cost nothing (⌊m⌋ = 0 makes everyone one group, whose view is known), where the paper counts 2.
-And innocents are convicted at k = 2 and 3, in every reading of Algorithm 1 that misses no liar: see
-`prbi_perfect.py --readings`.
+accepts even a ramp of m (`prbi_stopping.py`). With a large α some runs never stop, and these determine the mean. The
+paper's 10 frames at α = 0.2 and 80 % attackers, with a lower mean of verifications, fit this explanation. Our results
+differ in two ways. A frame may cost nothing, where the paper counts 2: ⌊m⌋ = 0 puts all vehicles into one group, whose
+view is known. And benign vehicles are misclassified at k = 2 and 3, in every reading of Algorithm 1 that misses no
+attacker: see `prbi_perfect.py --readings`.
 """
 
 from __future__ import annotations
@@ -39,11 +39,11 @@ from cp_env.metrics.intervals import Interval, bootstrap_interval, t_interval
 from cp_env.scenes import open_source
 from defenders import Prbi
 from defenders.simulation.statistics import play_many
-from defenders.simulation.world import Terms
+from defenders.simulation.world import Scenario
 
 N = 5
 ALPHAS, WINDOWS = (0.20, 0.15, 0.10, 0.05, 0.01), (10, 8, 6, 4)
-FIELDS = ("least", "most", "low", "high", "mean", "frames", "identified", "wronged")
+FIELDS = ("least", "most", "low", "high", "mean", "frames", "identified", "false_accusation_rate")
 # k: a row for each α with w = 10, then for each w with α = 0.01, in FIELDS' order; min is 2 and ID 100 % throughout
 PAPER_HIGH = {
     1: (2.00, 2.00, 2.00, 2.00, 2.00, 2.00, 2.00, 2.00, 2.00),
@@ -63,7 +63,7 @@ PAPER_FRAMES = {
     3: (3.99, 3.51, 3.44, 3.40, 3.36, 3.36, 3.33, 3.34, 3.41),
     4: (10.01, 9.31, 6.58, 6.51, 4.27, 4.27, 4.60, 4.57, 4.89),
 }
-PAPER_WRONGED = {1: (0,) * 9, 2: (9, 8, 8, 4, 6, 6, 7, 4, 11), 3: (0,) * 9, 4: (0,) * 9}
+PAPER_FALSE_ACCUSATION_RATE = {1: (0,) * 9, 2: (9, 8, 8, 4, 6, 6, 7, 4, 11), 3: (0,) * 9, 4: (0,) * 9}
 SETTINGS = [(alpha, 10) for alpha in ALPHAS] + [(0.01, window) for window in WINDOWS]
 
 
@@ -72,7 +72,7 @@ class Args:
     episodes: int = 1000  # of each row, under the perfect verifier
     ks: tuple[int, ...] = (1, 2, 3, 4)
     seed: int = 0
-    threshold: str = "paper"  # of `defenders.Prbi`; it says nothing under a perfect verifier
+    threshold: str = "paper"  # of `defenders.Prbi`; it has no effect under a perfect verifier
     detector: bool = False  # play on the detector instead
     scenes: str = "town/test"
     n_scenes: int = 2
@@ -88,8 +88,8 @@ class Run:
 
     counts: list[int]  # verifications
     converged: bool
-    identified: float  # share of the liars convicted
-    wronged: float  # share of the innocents
+    identified: float  # share of the attackers that are flagged
+    false_accusation_rate: float  # share of the benign vehicles that are flagged
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ class Row:
     mean: Interval
     frames: Interval
     identified: Interval | None  # percent; None if no run converged
-    wronged: Interval | None
+    false_accusation_rate: Interval | None
     unsettled: float  # percent of runs that did not converge
 
 
@@ -124,7 +124,7 @@ def summarise(k: int, alpha: float, window: int, runs: list[Run]) -> Row:
         mean=bootstrap_interval(lambda i: float(sums[i].sum() / lengths[i].sum()), len(runs), seed=0),
         frames=t_interval(lengths),
         identified=t_interval([100 * run.identified for run in done]) if done else None,
-        wronged=t_interval([100 * run.wronged for run in done]) if done else None,
+        false_accusation_rate=t_interval([100 * run.false_accusation_rate for run in done]) if done else None,
         unsettled=100 * (1 - len(done) / len(runs)),
     )
 
@@ -132,29 +132,36 @@ def summarise(k: int, alpha: float, window: int, runs: list[Run]) -> Row:
 def perfect(args: Args) -> Iterator[Row]:
     jobs = [(k, *setting) for k in args.ks for setting in SETTINGS]
     for k, alpha, window in track(jobs, "playing", transient=True):
-        terms = Terms(n_vehicles=N, n_liars=k, max_frames=99)
-        tally = play_many(Prbi(alpha=alpha, window=window), terms, episodes=args.episodes, seed=args.seed)
-        figures = zip(tally.verifications, tally.frames, tally.converged, tally.identified, tally.wronged, strict=True)
+        scenario = Scenario(n_vehicles=N, n_attackers=k, max_frames=99)
+        stats = play_many(Prbi(alpha=alpha, window=window), scenario, episodes=args.episodes, seed=args.seed)
+        figures = zip(
+            stats.verifications,
+            stats.frames,
+            stats.converged,
+            stats.identified,
+            stats.false_accusation_rate,
+            strict=True,
+        )
         yield summarise(k, alpha, window, [Run(v[:f].tolist(), bool(c), i, w) for v, f, c, i, w in figures])
 
 
 def on_the_detector(args: Args) -> Iterator[Row]:
     names = tuple(open_source(args.scenes).names())
     chosen = tuple(names[i * len(names) // args.n_scenes] for i in range(args.n_scenes))
-    protocol = evaluation.Protocol(args.scenes, chosen, args.frames, N)
+    conditions = evaluation.Conditions(args.scenes, chosen, args.frames, N)
     specs = {s: f"prbi:alpha={s[0]},window={s[1]},threshold={args.threshold}" for s in dict.fromkeys(SETTINGS)}
     seeds, defenders = (args.seed,), tuple(specs.values())
-    cells = evaluation.plan(protocol, defenders=defenders, attacks=("pgd",), ks=args.ks, seeds=seeds, batch=4)
-    crew = evaluation.Crew(make_attacker=agents.make, workers=args.workers, threads=args.threads)
-    store = evaluation.Store(args.out, evaluation.open_bank(protocol).detector.digest)
-    for _ in track(evaluation.prepare(cells, protocol, crew), "encoding", total=len(chosen)):
+    runs = evaluation.plan_runs(conditions, defenders=defenders, attacks=("pgd",), ks=args.ks, seeds=seeds, batch=4)
+    workers = evaluation.Workers(make_attack=agents.make, processes=args.workers, threads=args.threads)
+    store = evaluation.Store(args.out, evaluation.open_bank(conditions).detector.digest)
+    for _ in track(evaluation.prepare(runs, conditions, workers), "encoding", total=len(chosen)):
         pass
-    for _ in track(evaluation.run(cells, protocol, store, crew), "playing", total=len(cells)):
+    for _ in track(evaluation.execute(runs, conditions, store, workers), "playing", total=len(runs)):
         pass
-    played = store.load(cells, protocol)
+    results = store.load(runs, conditions)
     for k in args.ks:
         for setting in SETTINGS:
-            records = [r for c, rs in played.items() if (c.k, c.defender) == (k, specs[setting]) for r in rs]
+            records = [r for c, rs in results.items() if (c.k, c.defender) == (k, specs[setting]) for r in rs]
             yield summarise(k, *setting, [as_run(record) for record in records])
 
 
@@ -163,27 +170,36 @@ def as_run(record: Record) -> Run:
     return Run(
         counts=list(record.verifications[record.grace_frames : last]),
         converged=record.converged is not None,
-        identified=id_rate(record.suspects, record.liars),
-        wronged=mc_rate(record.suspects, record.liars, record.n_maps),
+        identified=id_rate(record.suspects, record.attackers),
+        false_accusation_rate=mc_rate(record.suspects, record.attackers, record.n_maps),
     )
 
 
 def published(k: int, row: int) -> dict[str, float]:
-    values = (2, 2 * k, 2.0, PAPER_HIGH[k][row], PAPER_MEAN[k][row], PAPER_FRAMES[k][row], 100, PAPER_WRONGED[k][row])
+    values = (
+        2,
+        2 * k,
+        2.0,
+        PAPER_HIGH[k][row],
+        PAPER_MEAN[k][row],
+        PAPER_FRAMES[k][row],
+        100,
+        PAPER_FALSE_ACCUSATION_RATE[k][row],
+    )
     return dict(zip(FIELDS, values, strict=True))
 
 
 def show(rows: list[Row], where: str) -> Table:
-    columns = ("k", "α", "w", "", "min", "max", "low", "high", "mean", "frames", "ID %", "MC %", "no end %")
+    columns = ("k", "α", "w", "", "min", "max", "low", "high", "mean", "frames", "TPR %", "FPR %", "not conv. %")
     table = Table(*columns, title=f"PRBI, n = {N}, {where}, {rows[0].runs} runs a row")
     for i, row in enumerate(rows):
         means = [short(x, 2) for x in (row.low, row.high, row.mean, row.frames)]
-        rates = [short(x, 0) for x in (row.identified, row.wronged)]
+        rates = [short(x, 0) for x in (row.identified, row.false_accusation_rate)]
         head = (str(row.k), f"{row.alpha:.2f}", str(row.window))
         table.add_row(*head, "ours", str(row.least), str(row.most), *means, *rates, f"{row.unsettled:.0f}")
         paper = published(row.k, i % len(SETTINGS))
         figures = [f"{paper[name]:.2f}" for name in ("low", "high", "mean", "frames")]
-        last = [f"{paper[name]:.0f}" for name in ("identified", "wronged")]
+        last = [f"{paper[name]:.0f}" for name in ("identified", "false_accusation_rate")]
         table.add_row("", "", "", "paper", "2", str(2 * row.k), *figures, *last, "", end_section=True)
     return table
 
@@ -195,14 +211,14 @@ def short(interval: Interval | None, digits: int) -> str:
 
 
 def draw(rows: list[Row], path: Path, where: str) -> None:
-    """Frames to convergence and innocents convicted, over α and over w: ours with intervals, the paper's dashed."""
+    """Frames to convergence and MC rate over α and w: ours with intervals, the paper's dashed."""
     figure, axes = plt.subplots(2, 2, figsize=(10, 7), layout="constrained", sharex="col")
     cuts = ((slice(0, len(ALPHAS)), "alpha", "confidence level α (w = 10)"), (slice(len(ALPHAS), None), "window", "w"))
     for k in dict.fromkeys(row.k for row in rows):
         mine = [row for row in rows if row.k == k]
         for column, (cut, name, label) in enumerate(cuts):
             x = [getattr(row, name) for row in mine[cut]]
-            for axis, key in zip(axes[:, column], ("frames", "wronged"), strict=True):
+            for axis, key in zip(axes[:, column], ("frames", "false_accusation_rate"), strict=True):
                 figures = [getattr(row, key) or Interval(np.nan, np.nan, np.nan, 0) for row in mine[cut]]
                 reach = [[f.mean - f.low for f in figures], [f.high - f.mean for f in figures]]
                 axis.errorbar(
@@ -212,7 +228,7 @@ def draw(rows: list[Row], path: Path, where: str) -> None:
                 axis.plot(x, paper, color=f"C{k - 1}", linestyle="--", marker="x", label=f"paper, k = {k}")
             axes[1, column].set_xlabel(label if name == "alpha" else "window w of the t-test, frames (α = 0.01)")
     axes[0, 0].set_ylabel("frames to convergence")
-    axes[1, 0].set_ylabel("innocents convicted, %")
+    axes[1, 0].set_ylabel("MC rate (FPR), %")
     figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize="small")
     figure.suptitle(f"PRBI, n = {N}, {where}: parameters of the t-test, 95 % intervals")
     figure.savefig(path, dpi=120)

@@ -1,13 +1,14 @@
-"""PRBI's Fig. 5: the probability 1 - P_benign that each of five vehicles lies, frame by frame, for k = 1 … 4 liars.
+"""PRBI's Fig. 5: the probability 1 - P_benign that a vehicle is malicious, by frame, for n = 5 and k = 1 … 4 attackers.
 
     python examples/reproduce/prbi_probability.py              # under a perfect verifier
-    python examples/reproduce/prbi_probability.py --detector   # on the detector, PGD lying; goes on where it stopped
+    python examples/reproduce/prbi_probability.py --detector   # on the detector under PGD; goes on where it stopped
 
-PRBI goes on verifying without end. Lines: the first run, liars red, innocents blue; shaded: the middle 80 % over runs.
-The table: frames until exactly the liars are at 100 %, to stay; innocents at 100 % in the fifth frame, and the mean of
-the innocents in the last. The paper says that all liars reach 100 % rapidly, and gives no numbers. Under a perfect
-verifier they are there from the first frame on, since they never pass; what takes time is that the innocents leave. A
-P_benign above 1, which Eq. (10) allows, counts as 1.
+PRBI goes on verifying. The lines are the first run, with attackers in red and benign vehicles in blue. Shaded is the
+middle 80 % over runs. The table has the frame from which on exactly the attackers are at 100 %, the share of benign
+vehicles at 100 % in the fifth frame, and the mean over the benign vehicles in the last. The paper says that all
+attackers reach 100 % rapidly, and gives no numbers. Under a perfect verifier they are at 100 % from the first frame on,
+because they never pass. The benign vehicles take time to leave it. A P_benign above 1, which Eq. (10) allows, counts
+as 1.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ from cp_env.scenes import open_source
 from cp_env.world.scene_cache import SceneBank
 from cp_env.world.world import World
 from defenders import Prbi
-from defenders.simulation.world import PerfectWorld
+from defenders.simulation.world import SimulatedWorld
 
 N = 5
 
@@ -44,7 +45,7 @@ class Args:
     runs: int = 100  # of every k, under the perfect verifier
     ks: tuple[int, ...] = (1, 2, 3, 4)
     seed: int = 0
-    threshold: str = "paper"  # of `defenders.Prbi`; it says nothing under a perfect verifier
+    threshold: str = "paper"  # of `defenders.Prbi`; it has no effect under a perfect verifier
     detector: bool = False  # play on the detector instead
     scenes: str = "town/test"
     n_scenes: int = 2
@@ -56,7 +57,7 @@ class Args:
 class Run:
     k: int
     name: str  # of the scene, or the seed
-    liars: list[int]
+    attackers: list[int]
     belief: list[list[float]]  # [frames of attack, N]
 
 
@@ -65,16 +66,16 @@ def perfect(args: Args) -> list[Run]:
 
 
 def under_the_truth(args: Args, k: int, run: int) -> Run:
-    place, mind = (np.random.default_rng(seed) for seed in np.random.SeedSequence([args.seed, k, run]).spawn(2))
-    liars = sorted(place.permutation(N)[:k].tolist())
-    defender, world = Prbi(stopping="never"), PerfectWorld(N, frozenset(liars))
-    defender.reset(N, mind)
-    world.judge(defender, lying=False)
+    place, defender_rng = (np.random.default_rng(seed) for seed in np.random.SeedSequence([args.seed, k, run]).spawn(2))
+    attackers = sorted(place.permutation(N)[:k].tolist())
+    defender, world = Prbi(stopping="never"), SimulatedWorld(N, frozenset(attackers))
+    defender.reset(N, defender_rng)
+    world.judge(defender, attack=False)
     belief = []
     for _ in range(args.frames):
         world.judge(defender)
         belief.append(defender.belief().tolist())
-    return Run(k, str(run), liars, belief)
+    return Run(k, str(run), attackers, belief)
 
 
 def on_the_detector(args: Args) -> list[Run]:
@@ -95,11 +96,11 @@ def in_a_scene(args: Args, bank: SceneBank, k: int, name: str) -> Run:
     world = World(1, defender=defender, bank=bank, n_vehicles=N, n_attackers=k, max_frames=args.frames + 1)
     seed = np.random.SeedSequence([args.seed, zlib.crc32(name.encode())])
     world.reset([seed], options={"scene": name})
-    attacker = agents.make("pgd")
-    attacker.reset(1, [np.random.default_rng(seed)])
+    attack = agents.make("pgd")
+    attack.reset(1, [np.random.default_rng(seed)])
     belief = []
     for _ in range(args.frames + 1):
-        world.step(attacker.act(world.situation()))
+        world.step(attack.act(world.situation()))
         belief.append(world.defenders[0].belief().tolist())
     run = Run(k, name, world.attackers[0].tolist(), belief[1:])
     write_atomically(path, json.dumps(asdict(run)) + "\n")
@@ -107,16 +108,23 @@ def in_a_scene(args: Args, bank: SceneBank, k: int, name: str) -> Run:
 
 
 def show(runs: list[Run], where: str) -> Table:
-    columns = ("k", "runs", "exactly the liars after", "in runs %", "innocents at 100 %, frame 5", "innocents, last")
+    columns = (
+        "k",
+        "runs",
+        "exactly the attackers after",
+        "in runs %",
+        "benign vehicles at 100 %, frame 5",
+        "benign vehicles, last",
+    )
     table = Table(*columns, title=f"Fig. 5, {where}")
     for k in dict.fromkeys(run.k for run in runs):
         mine = [run for run in runs if run.k == k]
-        sure = [((np.array(run.belief) == 1) == np.isin(range(N), run.liars)).all(axis=1) for run in mine]
-        after = [int(np.flatnonzero(~row).max(initial=-1)) + 2 for row in sure if row[-1]]
-        innocent = [100 * np.delete(run.belief, run.liars, axis=1) for run in mine]
-        early = t_interval([100 * (belief[4] == 100).mean() for belief in innocent])
+        exact = [((np.array(run.belief) == 1) == np.isin(range(N), run.attackers)).all(axis=1) for run in mine]
+        after = [int(np.flatnonzero(~row).max(initial=-1)) + 2 for row in exact if row[-1]]
+        benign = [100 * np.delete(run.belief, run.attackers, axis=1) for run in mine]
+        early = t_interval([100 * (belief[4] == 100).mean() for belief in benign])
         shown = f"{t_interval(after):.1f}" if after else "–"
-        last = t_interval([belief[-1].mean() for belief in innocent])
+        last = t_interval([belief[-1].mean() for belief in benign])
         share = f"{100 * len(after) / len(mine):.0f}"
         table.add_row(str(k), str(len(mine)), shown, share, f"{early:.0f}", f"{last:.0f}")
     return table
@@ -130,18 +138,18 @@ def draw(runs: list[Run], path: Path, where: str) -> None:
     for axis, k in zip(axes[0], ks, strict=True):
         mine = [run for run in runs if run.k == k]
         frames = range(1, len(mine[0].belief) + 1)
-        for who, colour in (("liars", "C3"), ("innocents", "C0")):
-            rows = [[i for i in range(N) if (i in run.liars) == (who == "liars")] for run in mine]
+        for kind, colour in (("attackers", "C3"), ("benign vehicles", "C0")):
+            rows = [[i for i in range(N) if (i in run.attackers) == (kind == "attackers")] for run in mine]
             values = np.concatenate(
                 [100 * np.array(run.belief)[:, i] for run, i in zip(mine, rows, strict=True)], axis=1
             )
             axis.fill_between(frames, *np.quantile(values, [0.1, 0.9], axis=1), color=colour, alpha=0.2, linewidth=0)
             axis.plot(frames, values[:, : len(rows[0])], color=colour, linewidth=1)
-            axis.plot([], [], color=colour, label=who)
+            axis.plot([], [], color=colour, label=kind)
         axis.set(title=f"k = {k}", xlabel="frames of attack", ylim=(-3, 103))
-    axes[0, 0].set_ylabel("probability of lying, 1 − P_benign, %")
+    axes[0, 0].set_ylabel("attack probability, 1 − P_benign, %")
     axes[0, 0].legend(loc="center right")
-    figure.suptitle(f"What PRBI believes, n = {N}, {where}")
+    figure.suptitle(f"PRBI's belief, n = {N}, {where}")
     figure.savefig(path, dpi=110)
     plt.close(figure)
 

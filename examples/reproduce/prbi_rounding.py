@@ -1,10 +1,10 @@
-"""PRBI's Fig. 3: the estimate m under three ways to round it, six vehicles, beside the limits of Theorem 2.
+"""PRBI's Fig. 3: the estimate m under three ways to round it, six vehicles, and the limits of Theorem 2.
 
     python examples/reproduce/prbi_rounding.py
 
-Perfect verifier, PRBI goes on verifying without end. Floor: m → k; nearest: k - 0.5; ceiling: k - 1, and
-log2(n / (n - 1)) = 0.263 at k = 1. "late": mean of m over the last third of the frames, with a 95 % interval over runs;
-"away": the largest |m - k| of any frame after the tenth (the paper: never above 2).
+The verifier is perfect, and PRBI goes on verifying. The limits of m are k (floor), k - 0.5 (nearest) and k - 1
+(ceiling; log2(n / (n - 1)) = 0.263 at k = 1). "late" is the mean of m over the last third of the frames, with a 95 %
+interval over runs. "away" is the largest |m - k| of any frame after the tenth (the paper: never above 2).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from rich.table import Table
 from cp_env.metrics.intervals import Interval, t_interval
 from defenders import Prbi
 from defenders.prbi.interpretation import ROUNDINGS
-from defenders.simulation.world import PerfectWorld
+from defenders.simulation.world import SimulatedWorld
 
 
 @dataclass
@@ -54,9 +54,9 @@ def limit(rounding: str, n: int, k: int) -> float:
 
 def watch(args: Args, rounding: str, k: int, seed: int) -> list[float]:
     """m after each abnormal frame."""
-    defender, world = Prbi(stopping="never", rounding=rounding), PerfectWorld(args.n, frozenset(range(k)))
+    defender, world = Prbi(stopping="never", rounding=rounding), SimulatedWorld(args.n, frozenset(range(k)))
     defender.reset(args.n, np.random.default_rng(seed))
-    world.judge(defender, lying=False)
+    world.judge(defender, attack=False)
     values = []
     for _ in range(args.frames):
         world.judge(defender)
@@ -77,7 +77,7 @@ def draw(rows: list[Row], args: Args) -> None:
             axis.plot(range(1, args.frames + 1), row.m, color=f"C{row.k - 1}", linewidth=1, label=f"m, k = {row.k}")
             axis.axhline(row.limit, color=f"C{row.k - 1}", linestyle="--", linewidth=1)
         axis.set(title=rounding, xlabel="abnormal frames")
-    axes[0].set_ylabel("estimated liars m, Eq. (9)")
+    axes[0].set_ylabel("estimated attackers m, Eq. (9)")
     axes[0].legend(loc="upper right", fontsize="small", ncols=2, title="dashed: Theorem 2")
     axes[0].set_ylim(-0.2, args.n + 0.8)
     figure.suptitle(f"m under three roundings, n = {args.n}, perfect verifier")

@@ -1,10 +1,11 @@
-"""Does PRBI stop? The published rule and the corrected one, for every fleet up to 20 and every number of liars.
+"""Convergence of PRBI under the published stopping rule and the corrected one, for all fleets up to 20 and all k < n.
 
     python examples/reproduce/prbi_stopping.py            # frames to convergence, a line for each n and k
-    python examples/reproduce/prbi_stopping.py --why      # why the published rule does not, with a picture
+    python examples/reproduce/prbi_stopping.py --why      # why the published rule often does not stop, with a picture
 
-Perfect verifier. Under "paper": share of the runs that stop within --frames, and of those the share that are right;
-under "robust": mean and most frames, share right. docs/prbi.md tells what --why shows.
+The verifier is perfect. Of `prbi` the table has the share of the runs that stop within --frames, and of those the share
+in which exactly the attackers are flagged. Of `robust_prbi` it has the mean and most frames, and that share of all
+runs. docs/prbi.md explains what --why shows.
 """
 
 from __future__ import annotations
@@ -20,10 +21,10 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from defenders import Prbi
+from defenders import Prbi, RobustPrbi
 from defenders.prbi.inference import upper_quantile
 from defenders.simulation.statistics import play_many
-from defenders.simulation.world import PerfectWorld, Terms
+from defenders.simulation.world import Scenario, SimulatedWorld
 
 
 @dataclass
@@ -44,16 +45,19 @@ class Args:
 
 
 def grid(args: Args) -> None:
-    table = Table("n", "k", "paper: stops %", "of those right %", "robust: frames", "most", "right %")
+    table = Table("n", "k", "prbi: stops %", "of those right %", "robust_prbi: frames", "most", "right %")
     rows, shares = [], []
     jobs = [(n, k) for n in args.vehicles for k in range(1, n)]
     for n, k in track(jobs, "playing", transient=True):
-        terms = Terms(n_vehicles=n, n_liars=k, max_frames=args.frames)
+        scenario = Scenario(n_vehicles=n, n_attackers=k, max_frames=args.frames)
         published = Prbi(window=args.window, alpha=args.alpha)
-        paper = play_many(published, terms, episodes=args.seeds, seed=0)
-        robust = play_many(Prbi(stopping="robust"), terms, episodes=args.seeds, seed=0)
-        stops, right = float(paper.converged.mean()), float(robust.solved[robust.converged].sum() / args.seeds)
-        sound = float(paper.solved[paper.converged].mean()) if stops else None
+        paper = play_many(published, scenario, episodes=args.seeds, seed=0)
+        robust = play_many(RobustPrbi(), scenario, episodes=args.seeds, seed=0)
+        stops, right = (
+            float(paper.converged.mean()),
+            float(robust.exact_identification[robust.converged].sum() / args.seeds),
+        )
+        sound = float(paper.exact_identification[paper.converged].mean()) if stops else None
         rows.append(
             {"n": n, "k": k, "paper_stops": stops, "paper_right": sound, "robust_right": right}
             | {"robust_mean": float(robust.frames.mean()), "robust_most": int(robust.frames.max())}
@@ -64,13 +68,13 @@ def grid(args: Args) -> None:
         table.add_row(str(n), str(k), f"{100 * stops:.0f}", shown, *figures, end_section=k == n - 1)
     Console(width=100).print(table)
     most, _, where = max(shares)
-    print(f"robust: right in {100 * np.mean([right for _, right, _ in shares]):.1f} % of the runs; ", end="")
+    print(f"robust_prbi: right in {100 * np.mean([right for _, right, _ in shares]):.1f} % of the runs; ", end="")
     print(f"never more than {most:.2f} n frames ({where})")
     write(args.out / "stopping.json", {"args": vars(args), "rows": rows})
 
 
 def why(args: Args) -> None:
-    """What Eq. (14) says of a ramp of w values, and of m once the ranking is right."""
+    """Eq. (14) for a ramp of w values, and for m once the ranking is right."""
     table = Table(
         "w", "t of a ramp", "t(α/2)", "a ramp is", title=f"Eq. (14) on w equally spaced values, α = {args.alpha}"
     )
@@ -84,7 +88,9 @@ def why(args: Args) -> None:
     ranked = int(np.flatnonzero(zeros != args.k)[-1]) + 1 if (zeros != args.k).any() else 0
     late = slice(ranked + args.window, None)
     accepted = second[late] & (statistic[late] <= quantile)
-    print(f"n = {args.n}, k = {args.k}, w = {args.window}: exactly the liars are at zero from frame {ranked + 1} on.")
+    print(
+        f"n = {args.n}, k = {args.k}, w = {args.window}: exactly the attackers are at zero from frame {ranked + 1} on."
+    )
     print(f"Then, with a full window, ⌊m⌋ = k in {second[late].sum()} of {len(m[late])} frames,", end=" ")
     print(f"and t <= {quantile:.2f} in {accepted.sum()} of those.")
     draw(args, m, second, statistic, quantile)
@@ -93,9 +99,9 @@ def why(args: Args) -> None:
 def trace(args: Args) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """m, vehicles of probability zero, and t of Eq. (14), after each abnormal frame of a run that never stops."""
     defender = Prbi(stopping="never", window=args.window, alpha=args.alpha)
-    world = PerfectWorld(args.n, frozenset(range(args.k)))
+    world = SimulatedWorld(args.n, frozenset(range(args.k)))
     defender.reset(args.n, np.random.default_rng(args.seed))
-    world.judge(defender, lying=False)
+    world.judge(defender, attack=False)
     rows = []
     for _ in range(args.frames):
         world.judge(defender)
@@ -113,7 +119,7 @@ def draw(args: Args, m: np.ndarray, second: np.ndarray, statistic: np.ndarray, q
     top.plot(frame, m, marker=".", markersize=3, color="C0", label="m, Eq. (9)")
     top.axhline(args.k, color="grey", linewidth=1, label=f"k = {args.k}")
     top.plot(frame[second], m[second], "o", fillstyle="none", color="C3", label="⌊m⌋ = vehicles of probability zero")
-    top.set_ylabel("estimated liars m")
+    top.set_ylabel("estimated attackers m")
     top.set_ylim(args.k - 1.5, args.k + 1.0)
     bottom.plot(frame, statistic, marker=".", markersize=3, color="C0", label="|mean of W − m| / (S / √w)")
     bottom.plot(frame[second], statistic[second], "o", fillstyle="none", color="C3")

@@ -1,12 +1,13 @@
-"""What ROBOSAC's two formulas promise, and what its sampling keeps.
+"""ROBOSAC's two formulas for tries and team size, and the success rate of its sampling.
 
     python examples/reproduce/robosac_budget.py
 
 N = ⌈ln 0.01 / ln(1-(1-η)^s)⌉ tries find a clean team of s with 99 % confidence if every try draws each vehicle anew and
-a share η lies; s = ⌊ln(1-0.01^(1/N)) / ln(1-η)⌋ is the largest team for a budget of N. Its code draws teams without
-replacement, of which C(n-k, s) of C(n, s) are clean. Played in every frame by `Robosac` under a perfect verifier, the
-ego honest: the share of frames with a team ("found", 95 % interval; "exact" worked out) and the tries paid on average.
-A budget that allows no team at all (s < 1) is an error; one that allows more than n - k is cut to n - k.
+a share η of the vehicles is malicious. s = ⌊ln(1-0.01^(1/N)) / ln(1-η)⌋ is the largest team for a budget of N. The code
+of ROBOSAC draws teams without replacement: C(n-k, s) of C(n, s) teams are clean. `Robosac` plays every frame under a
+perfect verifier with a benign ego. "found" is the share of frames with a team, with its 95 % interval, and "exact" is
+its expectation. "verifications/frame" is the mean number of tries. A budget that allows no team at all (s < 1) is an
+error. One that allows more than n - k vehicles is cut to n - k.
 """
 
 from __future__ import annotations
@@ -22,38 +23,38 @@ from cp_env.metrics.intervals import t_interval
 from defenders import Robosac
 from defenders.robosac import team_size
 from defenders.simulation.statistics import play_many
-from defenders.simulation.world import Terms
+from defenders.simulation.world import Scenario
 
 
 @dataclass(frozen=True)
 class Args:
     n: int = 5
-    """collaborators beside the ego"""
+    """collaborators of the ego, without the ego"""
     budgets: tuple[int, ...] = (3, 5, 10, 20)
     frames: int = 4000
     seed: int = 0
 
 
 def row(reading: str, k: int, budget: int, args: Args) -> list[str]:
-    """A row of either table: k, budget, team size, found, exact, tries."""
+    """A row of either table: k, budget, team size, found, exact, verifications in a frame."""
     defender = Robosac(reading=reading, n_attackers=k, budget=budget)
-    terms = Terms(n_vehicles=args.n + 1, n_liars=k, honest={0}, max_frames=100)
+    scenario = Scenario(n_vehicles=args.n + 1, n_attackers=k, benign={0}, max_frames=100)
     try:
-        tally = play_many(defender, terms, episodes=math.ceil(args.frames / 100), seed=args.seed)
+        stats = play_many(defender, scenario, episodes=math.ceil(args.frames / 100), seed=args.seed)
     except ValueError:
         return [str(k), str(budget), "0", "–", "refused", "", ""]
-    found = (tally.fused != 1).mean(axis=1)  # a team besides vehicle 0
+    found = (stats.fused != 1).mean(axis=1)  # a team besides vehicle 0
     clean = math.comb(args.n - k, defender.size) / math.comb(args.n, defender.size)
     exact = 1 - (1 - clean) ** defender.tries
-    cells = f"{t_interval(found):.3f}", f"{exact:.3f}", f"{tally.verifications.mean():.2f}"
+    cells = f"{t_interval(found):.3f}", f"{exact:.3f}", f"{stats.verifications.mean():.2f}"
     affordable = team_size(k / args.n, defender.tries, defender.confidence)
     return [str(k), str(defender.tries), f"{affordable:.0f}", str(defender.size), *cells]
 
 
 def main(args: Args) -> None:
     console = Console(width=110)
-    columns = ("k", "N", "s by formula", "s", "found", "exact", "tries paid")
-    full = Table(*columns, title=f'reading "replacement": everyone but the liars, n = {args.n}')
+    columns = ("k", "N", "s by formula", "s", "found", "exact", "verifications/frame")
+    full = Table(*columns, title=f'reading "replacement": everyone but the attackers, n = {args.n}')
     for k in range(1, args.n):
         full.add_row(*row("replacement", k, 1, args))
     budgeted = Table(*columns, title=f'reading "budgeted": the largest team a budget affords, n = {args.n}')

@@ -1,13 +1,14 @@
-"""How alike is a group's view to the frame before, by the size of the group and the number of liars in it?
+"""Similarity of a group's view to the frame before, by the size of the group and the number of attackers in it.
 
-    python examples/reproduce/similarity_table.py                                             # measure, print, draw
-    python examples/reproduce/similarity_table.py --frames 6 --write FILE  # and calibrate PRBI's ε
+    python examples/reproduce/similarity_table.py                                       # measure, print, draw
+    python examples/reproduce/similarity_table.py --frames 6 --write FILE               # and calibrate PRBI's ε
     python examples/reproduce/similarity_table.py --frames 4 --write FILE --fusion max  # and so on
 
 PRBI (Sec. 11.1) judges every group by one threshold, 0.35. Here the similarity, Eq. (5), of every group of five
-vehicles to the honest view of the frame before is measured on the calibration scenes, PGD lying jointly in k = 0 … 4
-vehicles (Δ 0.3, 15 steps of 0.1). The threshold of a size is the one that errs least on them: the mean of "an honest
-group fails" and "a group with a liar passes", the latter averaged over the numbers of liars so that each counts alike.
+vehicles to the benign view of the frame before is measured on the calibration scenes. PGD attacks jointly in k = 0 … 4
+vehicles (Δ 0.3, 15 steps of 0.1). The threshold of a size is the one that errs least: it minimises the mean of the
+share of benign groups that fail and the share of groups with an attacker that pass. The latter is averaged over the
+numbers of attackers, so that each number has the same weight. FILE is defenders/thresholds/thresholds.json.
 """
 
 from __future__ import annotations
@@ -34,10 +35,10 @@ from cp_env.metrics.intervals import Interval, t_interval
 from cp_env.scenes import open_source
 from cp_env.world.scene_cache import SceneBank
 from cp_env.world.world import World
-from defenders.protocol import Defender, Frame, Inspection, Query, Verdict
+from defenders.protocol import Defender, Frame, Informed, Inspection, Query, Verdict
 from defenders.thresholds.tables import write_thresholds
 
-Key = tuple[int, int]  # group size, liars in it
+Key = tuple[int, int]  # group size, attackers in it
 
 
 @dataclass
@@ -53,16 +54,14 @@ class Args:
     write: Path | None = None  # thresholds go here, as the fusion's entry
 
 
-class Surveyor(Defender):
-    """An instrument, not a defence: told who lies, it compares every group with the honest view of the frame before."""
+class Surveyor(Defender, Informed):
+    """An instrument, no defence: compares every group with the view of the benign vehicles in the frame before."""
 
-    needs_truth = True  # the referee calls `tell`
-
-    def tell(self, liars: frozenset[int]) -> None:
-        self.liars = frozenset(liars)
+    def reveal_attackers(self, attackers: frozenset[int]) -> None:
+        self.attackers = frozenset(attackers)
 
     def reset(self, n_vehicles: int, rng: np.random.Generator) -> None:
-        self.honest = frozenset(range(n_vehicles)) - self.liars
+        self.benign = frozenset(range(n_vehicles)) - self.attackers
         numbers = range(n_vehicles)
         self.groups = [frozenset(g) for size in range(1, n_vehicles + 1) for g in itertools.combinations(numbers, size)]
         self.reference = None
@@ -72,24 +71,24 @@ class Surveyor(Defender):
         views = yield Query(self.groups, verification=False)
         if self.reference is not None:
             for group, view in zip(self.groups, views, strict=True):
-                key = len(group), len(group & self.liars)
+                key = len(group), len(group & self.attackers)
                 self.measured.append((key, frame.similarity(view, self.reference)))
-        self.reference = views[self.groups.index(self.honest)]
-        return Verdict(self.honest, self.liars)
+        self.reference = views[self.groups.index(self.benign)]
+        return Verdict(self.benign, self.attackers)
 
 
 def survey(args: Args) -> dict[Key, dict[str, list[float]]]:
-    """Similarities by (size, liars) and scene."""
+    """Similarities by (size, attackers) and scene."""
     bank = SceneBank(open_source(args.scenes), load_detector(args.fusion))
     found: dict[Key, dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))
     jobs = list(itertools.product(bank.source.names(), range(args.n_vehicles)))
     for number, (name, k) in enumerate(track(jobs, f"surveying {args.fusion}")):
         world = World(1, defender=Surveyor(), bank=bank, n_vehicles=args.n_vehicles, n_attackers=k, grace_frames=0)
         world.reset([np.random.SeedSequence([args.seed, number])], options={"scene": name})
-        attacker = agents.make(args.attack if k else "none")
-        attacker.reset(1, np.random.default_rng([args.seed, number]))
+        attack = agents.make(args.attack if k else "none")
+        attack.reset(1, np.random.default_rng([args.seed, number]))
         for _ in range(args.frames):
-            world.step(attacker.act(world.situation()))
+            world.step(attack.act(world.situation()))
         (surveyor,) = world.defenders
         assert isinstance(surveyor, Surveyor)
         for key, value in surveyor.measured:
@@ -102,11 +101,11 @@ def pooled(found: dict[Key, dict[str, list[float]]], key: Key) -> np.ndarray:
 
 
 def threshold(found: dict[Key, dict[str, list[float]]], size: int) -> float:
-    """Where honest and lying groups of this size are told apart best."""
-    honest = pooled(found, (size, 0))
-    lying = [pooled(found, key) for key in sorted(found) if key[0] == size and key[1] > 0]
+    """The threshold that best separates benign groups of this size from groups with attackers."""
+    benign = pooled(found, (size, 0))
+    contaminated = [pooled(found, key) for key in sorted(found) if key[0] == size and key[1] > 0]
     grid = np.arange(0.02, 0.99, 0.01)
-    errors = [(honest < e).mean() + np.mean([(group >= e).mean() for group in lying]) for e in grid]
+    errors = [(benign < e).mean() + np.mean([(group >= e).mean() for group in contaminated]) for e in grid]
     best = np.flatnonzero(np.isclose(errors, np.min(errors)))
     return round(float(grid[best].mean()), 2)  # the middle of the plateau
 
@@ -115,26 +114,26 @@ def report(found: dict[Key, dict[str, list[float]]], epsilon: dict[int, float], 
     sizes = range(1, args.n_vehicles + 1)
     table = Table(
         "group size",
-        *(f"{k} liars" for k in range(args.n_vehicles)),
+        *(f"{k} attackers" for k in range(args.n_vehicles)),
         "ε",
         title=f"{args.fusion}: similarity to the frame before",
     )
     shares = Table(
-        "group size", *(f"{k} liars" for k in range(args.n_vehicles)), title="share that passes at 0.35 / at ε"
+        "group size", *(f"{k} attackers" for k in range(args.n_vehicles)), title="share that passes at 0.35 / at ε"
     )
     rows = []
     for size in sizes:
         cells, passing = [], []
-        for liars in range(args.n_vehicles):
-            if (size, liars) not in found:
+        for attackers in range(args.n_vehicles):
+            if (size, attackers) not in found:
                 cells.append("–")
                 passing.append("–")
                 continue
-            mean: Interval = t_interval([np.mean(values) for values in found[size, liars].values()])
-            values = pooled(found, (size, liars))
+            mean: Interval = t_interval([np.mean(values) for values in found[size, attackers].values()])
+            values = pooled(found, (size, attackers))
             cells.append(f"{mean:.2f}")
             passing.append(f"{(values >= 0.35).mean():.2f} / {(values >= epsilon[size]).mean():.2f}")
-            rows.append({"size": size, "liars": liars, "mean": mean.mean, "low": mean.low, "high": mean.high})
+            rows.append({"size": size, "attackers": attackers, "mean": mean.mean, "low": mean.low, "high": mean.high})
         table.add_row(str(size), *cells, f"{epsilon[size]:.2f}")
         shares.add_row(str(size), *passing)
     console = Console(width=150)
@@ -151,16 +150,16 @@ def draw(found: dict[Key, dict[str, list[float]]], epsilon: dict[int, float], ar
     )
     colours = plt.get_cmap("viridis")(np.linspace(0, 0.9, args.n_vehicles))
     for size, axis in enumerate(axes, start=1):
-        for liars in range(args.n_vehicles):
-            if (size, liars) in found:
-                values, label = pooled(found, (size, liars)), f"{liars} liars"
+        for attackers in range(args.n_vehicles):
+            if (size, attackers) in found:
+                values, label = pooled(found, (size, attackers)), f"{attackers} attackers"
                 axis.hist(
                     values,
                     np.linspace(0, 1, 26),
                     density=True,
                     histtype="step",
                     lw=1.8,
-                    color=colours[liars],
+                    color=colours[attackers],
                     label=label,
                 )
         axis.axvline(0.35, color="grey", ls=":", label="0.35 (paper)")

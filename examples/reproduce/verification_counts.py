@@ -1,14 +1,14 @@
-"""How many verifications does a frame cost? Table 2 of the PRBI paper, ours beside the paper's.
+"""Verifications in a frame, Table 2 of the PRBI paper: ours, the exact expectation and the paper's values.
 
     python examples/reproduce/verification_counts.py                     # perfect verifier, 20,000 episodes a cell
     python examples/reproduce/verification_counts.py --detector          # the shipped detector under PGD, a few scenes
 
-ROBOSAC (reading "until_success", k known) and PASAC trust the ego and cannot work without: as published, k of its n
-collaborators lie, so there are n + 1 vehicles. PRBI trusts nobody: k of n vehicles lie, the ego perhaps among them. A
-frame counts if somebody lies in it; ROBOSAC and PASAC begin anew in every frame, so each is an episode to them, while
-PRBI is shown by its first abnormal frame and by the mean over its frames to convergence. "exact" is worked out, not
-played: C(n, k) teams of n - k hold one clean one, so ROBOSAC's tries are geometric with that mean and no maximum; PASAC
-is averaged over all sets of liars. The paper's maxima of ROBOSAC are those of some hundred frames.
+ROBOSAC (reading "until_success", k known) and PASAC trust the ego. As published, k of its n collaborators are
+malicious, so there are n + 1 vehicles. PRBI trusts no vehicle: k of n vehicles are malicious, and the ego may be one of
+them. Only frames with an attack count. ROBOSAC and PASAC begin anew in every frame, so each frame is an episode to
+them. Of PRBI there are two rows: the first abnormal frame, and all frames to convergence. "exact" is computed, not
+played. C(n, k) teams of n - k contain one clean team, so ROBOSAC's tries are geometric with that mean and have no
+maximum. PASAC is averaged over all sets of attackers. The paper's maxima of ROBOSAC are those of some hundred frames.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ import defenders
 from cp_env.metrics.intervals import Interval, bootstrap_interval
 from defenders.pasac import halves
 from defenders.simulation.statistics import play_many
-from defenders.simulation.world import Terms
+from defenders.simulation.world import Scenario
 
 ROWS = ("ROBOSAC", "PASAC", "PRBI, first abnormal frame", "PRBI, all frames")
 PAPER = {  # of n = 5, k = 1 … 4: least, most, mean
@@ -39,7 +39,7 @@ PAPER = {  # of n = 5, k = 1 … 4: least, most, mean
     "PRBI, first abnormal frame": ((2, 2, 2.00), (2, 4, 2.88), (2, 6, 4.06), (2, 8, 5.70)),  # its Table 4
     "PRBI, all frames": ((2, 2, 2.00), (2, 4, 2.35), (2, 6, 2.61), (2, 8, 2.86)),
 }
-ROUND = 100  # frames in which the same vehicles lie, where every frame counts as an episode
+ROUND = 100  # frames with the same attackers, where every frame counts as an episode
 MOST_FRAMES = 200  # for PRBI to converge
 COLOURS = dict(zip(ROWS, ("tab:orange", "tab:green", "tab:blue", "tab:purple"), strict=True))
 
@@ -47,7 +47,7 @@ COLOURS = dict(zip(ROWS, ("tab:orange", "tab:green", "tab:blue", "tab:purple"), 
 @dataclass(frozen=True)
 class Args:
     n: int = 5
-    """those who can lie: ROBOSAC's and PASAC's collaborators, PRBI's vehicles"""
+    """vehicles that may be malicious: the collaborators of ROBOSAC and PASAC, all vehicles of PRBI"""
     episodes: int = 20_000
     """of ROBOSAC and PASAC for each k, with the perfect verifier"""
     prbi_episodes: int = 4000
@@ -55,7 +55,7 @@ class Args:
     rows: tuple[str, ...] = ROWS
     seed: int = 0
     detector: bool = False
-    """count on the shipped detector instead, PGD lying"""
+    """count on the shipped detector under PGD instead"""
     scenes: str = "town/test"
     n_scenes: int = 3
     frames: int = 6
@@ -65,7 +65,7 @@ class Args:
 
 
 def make(row: str, k: int, args: Args) -> tuple[defenders.Defender, int, tuple[int, ...]]:
-    """The defender of a row, how many vehicles it takes, and who of them is trusted."""
+    """The defender of a row, its number of vehicles, and the trusted ones among them."""
     if row == "ROBOSAC":
         return defenders.make("robosac", reading="until_success", n_attackers=k), args.n + 1, (0,)
     if row == "PASAC":
@@ -75,15 +75,15 @@ def make(row: str, k: int, args: Args) -> tuple[defenders.Defender, int, tuple[i
 
 def count(row: str, k: int, args: Args) -> np.ndarray:
     """Verifications under a perfect verifier, [episodes, frames]; -1 behind the end of an episode."""
-    defender, n_vehicles, honest = make(row, k, args)
+    defender, n_vehicles, benign = make(row, k, args)
     frames = {"PRBI, first abnormal frame": 1, "PRBI, all frames": MOST_FRAMES}.get(row, ROUND)
-    terms = Terms(n_vehicles=n_vehicles, n_liars=k, honest=honest, max_frames=frames)
+    scenario = Scenario(n_vehicles=n_vehicles, n_attackers=k, benign=benign, max_frames=frames)
     episodes = args.prbi_episodes if row.startswith("PRBI") else math.ceil(args.episodes / ROUND)
-    return play_many(defender, terms, episodes=episodes, seed=args.seed).verifications
+    return play_many(defender, scenario, episodes=episodes, seed=args.seed).verifications
 
 
 def count_on_detector(row: str, k: int, args: Args) -> np.ndarray:
-    """The same on the shipped detector, a scene an episode, PGD lying in k vehicles from the second frame on."""
+    """The same on the shipped detector: a scene is an episode, and PGD attacks k vehicles from the second frame on."""
     import torch
 
     import agents
@@ -98,14 +98,16 @@ def count_on_detector(row: str, k: int, args: Args) -> np.ndarray:
     names = bank.source.names()
     for number, scene in enumerate(names[i * len(names) // args.n_scenes] for i in range(args.n_scenes)):
         rng = np.random.default_rng([args.seed, number, k])
-        defender, n_vehicles, honest = make(row, k, args)
-        liars = tuple(sorted((len(honest) + rng.permutation(n_vehicles - len(honest))[:k]).tolist()))
-        world = World(1, defender=defender, bank=bank, n_vehicles=n_vehicles, attackers=liars, max_frames=args.frames)
+        defender, n_vehicles, benign = make(row, k, args)
+        attackers = tuple(sorted((len(benign) + rng.permutation(n_vehicles - len(benign))[:k]).tolist()))
+        world = World(
+            1, defender=defender, bank=bank, n_vehicles=n_vehicles, attackers=attackers, max_frames=args.frames
+        )
         world.reset([np.random.SeedSequence([args.seed, number, k])], options={"scene": scene})
-        attacker = agents.make("pgd")
-        attacker.reset(1, rng)
+        attack = agents.make("pgd")
+        attack.reset(1, rng)
         for frame in range(args.frames):
-            outcome = world.step(attacker.act(world.situation()))
+            outcome = world.step(attack.act(world.situation()))
             if frame:
                 counts[number, frame - 1] = outcome.verifications[0]
             if outcome.verdicts[0].converged or (frame == 1 and row == "PRBI, first abnormal frame"):
@@ -114,12 +116,12 @@ def count_on_detector(row: str, k: int, args: Args) -> np.ndarray:
 
 
 def pooled(counts: np.ndarray) -> np.ndarray:
-    """An entry a frame."""
+    """One entry for each frame."""
     return counts[counts >= 0]
 
 
 def mean(counts: np.ndarray, seed: int) -> Interval:
-    """Over all frames; the interval is over episodes, the frames of one being alike."""
+    """Mean over all frames; the interval is over episodes, because the frames of one are similar."""
     played = counts >= 0
     totals, frames = np.where(played, counts, 0).sum(axis=1), played.sum(axis=1)
     return bootstrap_interval(lambda i: float(totals[i].sum() / frames[i].sum()), len(counts), seed=seed)
@@ -130,15 +132,24 @@ def exact(row: str, n: int, k: int) -> float | None:
     if row == "ROBOSAC":
         return float(math.comb(n, k))
     if row == "PASAC":
-        return float(np.mean([looks(list(range(n)), set(liars)) for liars in itertools.combinations(range(n), k)]))
+        return float(
+            np.mean(
+                [
+                    pasac_verifications(list(range(n)), set(attackers))
+                    for attackers in itertools.combinations(range(n), k)
+                ]
+            )
+        )
     return None
 
 
-def looks(members: list[int], liars: set[int]) -> int:
-    """Halves that PASAC looks at below a part that failed."""
+def pasac_verifications(members: list[int], attackers: set[int]) -> int:
+    """Halves that PASAC verifies below a part that failed."""
     if len(members) < 2:
         return 0
-    return sum(1 + (looks(half, liars) if liars.intersection(half) else 0) for half in halves(members))
+    return sum(
+        1 + (pasac_verifications(half, attackers) if attackers.intersection(half) else 0) for half in halves(members)
+    )
 
 
 def main(args: Args) -> None:
@@ -148,7 +159,7 @@ def main(args: Args) -> None:
         counts[row, k] = measure(row, k, args)
     means = {key: mean(table, args.seed) for key, table in counts.items()}
     console = Console(width=120)
-    console.print(beside_the_paper(counts, means, args, f"{verifier}, n = {args.n}"))
+    console.print(paper_table(counts, means, args, f"{verifier}, n = {args.n}"))
     args.out.mkdir(parents=True, exist_ok=True)
     stem = args.out / ("detector" if args.detector else "perfect")
     rows = [
@@ -166,7 +177,7 @@ def main(args: Args) -> None:
     console.print("drawn:", str(draw(counts, means, args, stem.with_suffix(".png"), verifier)))
 
 
-def beside_the_paper(
+def paper_table(
     counts: dict[tuple[str, int], np.ndarray], means: dict[tuple[str, int], Interval], args: Args, title: str
 ) -> Table:
     table = Table("", "k", "mean [95 %]", "exact", "min", "max", "paper: mean", "min", "max", title=title)
@@ -187,19 +198,19 @@ def draw(
     verifier: str,
 ) -> Path:
     figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.7), layout="constrained")
-    liars, middle = np.arange(1, args.n), args.n // 2
+    attackers, middle = np.arange(1, args.n), args.n // 2
     for shift, row in zip(np.linspace(-0.12, 0.12, len(args.rows)), args.rows, strict=True):
         ours = [means[row, k] for k in range(1, args.n)]
         reach = [[i.mean - i.low for i in ours], [i.high - i.mean for i in ours]]
         style = {"color": COLOURS[row], "label": row}
-        left.errorbar(liars + shift, [i.mean for i in ours], reach, fmt="o-", ms=4, capsize=3, **style)
+        left.errorbar(attackers + shift, [i.mean for i in ours], reach, fmt="o-", ms=4, capsize=3, **style)
         if args.n == 5:
-            left.plot(liars + shift, [average for *_, average in PAPER[row]], "x", ms=8, color=COLOURS[row])
+            left.plot(attackers + shift, [average for *_, average in PAPER[row]], "x", ms=8, color=COLOURS[row])
         values, first = np.unique(np.sort(pooled(counts[row, middle])), return_index=True)
         right.step(values, 1 - first / pooled(counts[row, middle]).size, where="pre", **style)
     if args.n == 5:
         left.plot([], [], "x", ms=8, color="grey", label="the paper's")
-    left.set(xlabel="liars k", ylabel="verifications a frame, mean", xticks=liars, ylim=(0, None))
+    left.set(xlabel="attackers k", ylabel="verifications/frame", xticks=attackers, ylim=(0, None))
     left.set_title(f"n = {args.n}, 95 % intervals over episodes")
     figure.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=5, fontsize=9)
     right.set(xlabel="verifications in a frame, x", ylabel="share of frames with x or more", yscale="log")

@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import pytest
 import torch
 
@@ -14,11 +12,11 @@ FRAMES = 3
 
 
 @pytest.fixture(scope="session")
-def bank(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SceneBank]:
+def bank(tmp_path_factory: pytest.TempPathFactory) -> SceneBank:
     """Two toy crossings under a small detector that sees something everywhere."""
     with torch.random.fork_rng():
         torch.manual_seed(0)
         detector = Detector(channels=8)
         with torch.no_grad():
             detector.decoder.head.bias.zero_()
-    yield SceneBank(ToySource(n_frames=FRAMES + 2), detector.freeze(), tmp_path_factory.mktemp("bank"), progress=False)
+    return SceneBank(ToySource(n_frames=FRAMES + 2), detector.freeze(), tmp_path_factory.mktemp("bank"), progress=False)

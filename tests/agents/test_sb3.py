@@ -15,8 +15,8 @@ from tests.agents.conftest import FRAMES
 K = 2
 
 
-def _env(bank: SceneBank, worlds: int = 2, **knobs: Any) -> AdversaryVecEnv:
-    return make_vec_env(worlds, bank=bank, max_frames=FRAMES, **({"n_attackers": K} | knobs))
+def _env(bank: SceneBank, worlds: int = 2, **options: Any) -> AdversaryVecEnv:
+    return make_vec_env(worlds, bank=bank, max_frames=FRAMES, **({"n_attackers": K} | options))
 
 
 def _actions(env: AdversaryVecEnv, seed: int) -> np.ndarray:
@@ -24,7 +24,7 @@ def _actions(env: AdversaryVecEnv, seed: int) -> np.ndarray:
     return np.random.default_rng(seed).uniform(-1, 1, (env.num_envs, *env.action_space.shape)).astype(np.float32)
 
 
-def test_one_environment_a_liar(bank: SceneBank) -> None:
+def test_one_environment_an_attacker(bank: SceneBank) -> None:
     env = _env(bank, worlds=3)
     env.seed(0)
     observations = env.reset()
@@ -126,15 +126,15 @@ def test_joint_and_shared_see_the_same_world(bank: SceneBank) -> None:
         np.testing.assert_array_equal(ours, theirs)
         actions = _actions(shared, t)
         mine, paid, dones, infos = shared.step(actions)
-        ours, rewards, over, told = joint.step(actions.reshape(2, -1))
+        ours, rewards, over, joint_infos = joint.step(actions.reshape(2, -1))
         theirs, expected, *_ = twin.step(actions.reshape(2, -1))
         np.testing.assert_array_equal(paid.reshape(2, K)[:, 0], rewards)
         np.testing.assert_allclose(rewards, expected, rtol=1e-6)
         assert dones.reshape(2, K)[:, 0].tolist() == over.tolist() == [t + 1 == FRAMES] * 2
-        assert told[1]["excluded"] == np.mean([infos[2]["excluded"], infos[3]["excluded"]])
+        assert joint_infos[1]["excluded"] == np.mean([infos[2]["excluded"], infos[3]["excluded"]])
         if over.all():
             last = [np.concatenate([infos[K * e + j]["terminal_observation"] for j in range(K)]) for e in range(2)]
-            np.testing.assert_array_equal(np.stack([info["terminal_observation"] for info in told]), last)
+            np.testing.assert_array_equal(np.stack([info["terminal_observation"] for info in joint_infos]), last)
 
 
 def test_joint_features_are_laid_end_to_end(bank: SceneBank) -> None:

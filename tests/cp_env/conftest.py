@@ -33,10 +33,10 @@ def bank() -> SceneBank:
 
 @pytest.fixture(scope="session")
 def toy_env(bank: SceneBank) -> Callable[..., CollaborativePerceptionEnv]:
-    """Makes environments of a few frames in the toy crossings; takes the knobs of `parallel_env`."""
+    """Makes environments of a few frames in the toy crossings; takes the options of `parallel_env`."""
 
-    def make(defender: Any = "prbi", **knobs: Any) -> CollaborativePerceptionEnv:
-        return CollaborativePerceptionEnv(defender, bank=bank, **{"max_frames": FRAMES, **knobs})
+    def make(defender: Any = "prbi", **options: Any) -> CollaborativePerceptionEnv:
+        return CollaborativePerceptionEnv(defender, bank=bank, **{"max_frames": FRAMES, **options})
 
     return make
 

@@ -47,11 +47,14 @@ def test_check_names_the_rules(toy_town: None, capsys: pytest.CaptureFixture[str
     assert "26 rules kept: spaces_are_fixed" in told and "rendering_changes_nothing" in told
 
 
-def test_bad_input_is_told_in_one_line() -> None:
+def test_bad_input_is_told_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit, match=r"cp-env: unknown scenes 'village'"):
         main(["scenes", "--source", "village"])
-    with pytest.raises(SystemExit, match=r"cp-env: unknown action map 'raw'"):
+    with pytest.raises(SystemExit, match=r"cp-env: unknown defender 'prib' .did you mean 'prbi'"):
+        main(["play", "--defender", "prib"])
+    with pytest.raises(SystemExit, match="2"):
         main(["play", "--action", "raw"])
+    assert "guided" in capsys.readouterr().err, "the choices are told"
 
 
 def test_broken_scenes_are_left_out_by_a_flag(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,7 +1,7 @@
 """One code path for every device: nothing is left on the CPU that the detector needs elsewhere, nor the reverse.
 
-There is no accelerator here; `tests.helpers.pretended_device` makes one up that is as strict about places. It shows no speed, and no
-difference in rounding: what is computed there is bit for bit what is computed here.
+There is no accelerator here; `tests.helpers.pretended_device` makes one up that is as strict about places. It shows no
+speed, and no difference in rounding: what is computed there is bit for bit what is computed here.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from cp_env.detector.coperception.checkpoint import Weights
 from cp_env.detector.model.weights import FOLDER, read_detector, save_detector
 from cp_env.detector.protocol import DetectorLike
 from cp_env.detector.training import evaluate, train
-from cp_env.detector.training.data import Footage, encode, prepare
+from cp_env.detector.training.data import RasterisedScene, encode, prepare
 from cp_env.envs.actions.registry import make_action
 from cp_env.envs.core import Game
 from cp_env.testing import check_detector
@@ -69,14 +69,16 @@ def test_coperception_sees_the_same_there() -> None:
     detector = CoperceptionDetector(weights, "disconet", 3, "affine")
     bev = (torch.rand(2, 13, 256, 256, generator=torch.Generator().manual_seed(0)) < 0.02).to(torch.uint8)
 
-    def view(eyes: CoperceptionDetector) -> Any:
-        device = eyes.device
-        maps = eyes.encode_grids(bev.to(device))
-        received = eyes.warp(maps, torch.tensor([[0.0, 0, 0], [7.3, -4.1, 0.7]], device=device))[None]
-        kept = torch.from_numpy(np.packbits(bev[:1].numpy(), axis=-1)).to(device)
+    def view(model: CoperceptionDetector) -> Any:
+        device = model.device
+        maps = model.encode_grids(bev.to(device))
+        received = model.warp(maps, torch.tensor([[0.0, 0, 0], [7.3, -4.1, 0.7]], device=device))[None]
+        context = torch.from_numpy(np.packbits(bev[:1].numpy(), axis=-1)).to(device)
         covered, everyone = torch.ones(1, 2, 32, 32, device=device), torch.ones(1, 2, dtype=torch.bool, device=device)
-        dense = eyes.beside(kept).perceive(received, covered, torch.zeros(1, dtype=torch.long, device=device), everyone)
-        return dense.logits.cpu(), eyes.detect(dense)[0].boxes
+        dense = model.with_ego_context(context).perceive(
+            received, covered, torch.zeros(1, dtype=torch.long, device=device), everyone
+        )
+        return dense.logits.cpu(), model.detect(dense)[0].boxes
 
     here = view(detector)
     with pretended():
@@ -126,41 +128,41 @@ LEARNING = train.Args(frames=1, egos=1, views=2, agents=2, threads=1, checkpoint
 
 
 @pytest.fixture(scope="module")
-def footage(tmp_path_factory: pytest.TempPathFactory) -> list[Footage]:
-    return prepare(SOURCE, tmp_path_factory.mktemp("footage"), stride=2)
+def scenes(tmp_path_factory: pytest.TempPathFactory) -> list[RasterisedScene]:
+    return prepare(SOURCE, tmp_path_factory.mktemp("rasterised"), stride=2)
 
 
 @pytest.mark.parametrize("fusion", ["mean", "disconet"])
-def test_so_is_what_training_makes_there(fusion: str, footage: list[Footage], tmp_path: Path) -> None:
+def test_so_is_what_training_makes_there(fusion: str, scenes: list[RasterisedScene], tmp_path: Path) -> None:
     """With a teacher, where there is one."""
     teacher = tmp_path / "teacher.safetensors"
     save_detector(train.begin(LEARNING), teacher)
     args = replace(LEARNING, fusion=fusion, teacher=teacher if fusion == "disconet" else None)
-    here = train.train(replace(args, out=tmp_path / "here"), footage)
+    here = train.train(replace(args, out=tmp_path / "here"), scenes)
     with pretended():
-        there = train.train(replace(args, out=tmp_path / "there", device="meta"), footage)
+        there = train.train(replace(args, out=tmp_path / "there", device="meta"), scenes)
         assert there.device.type == "meta" and there.digest == here.digest
         save_detector(there, tmp_path / "there.safetensors")
     assert torch.equal(read_detector(tmp_path / "there.safetensors").decoder.head.bias, here.decoder.head.bias)
 
 
-def test_a_run_goes_on_on_another_device(footage: list[Footage], tmp_path: Path) -> None:
+def test_a_run_goes_on_on_another_device(scenes: list[RasterisedScene], tmp_path: Path) -> None:
     """Two steps there and the third here are three steps here."""
-    whole = train.train(replace(LEARNING, out=tmp_path / "whole"), footage)
+    whole = train.train(replace(LEARNING, out=tmp_path / "whole"), scenes)
     moved = replace(LEARNING, out=tmp_path / "moved")
     assert all(train.learning_rate(0, LEARNING) == train.learning_rate(1, replace(LEARNING, steps=n)) for n in (2, 3))
     with pretended():
-        train.train(replace(moved, steps=2, device="meta"), footage)
-    assert train.train(moved, footage).digest == whole.digest
+        train.train(replace(moved, steps=2, device="meta"), scenes)
+    assert train.train(moved, scenes).digest == whole.digest
 
 
-def test_encoders_maps_and_figures_are_the_same_there(footage: list[Footage], tmp_path: Path) -> None:
+def test_encoders_maps_and_figures_are_the_same_there(scenes: list[RasterisedScene], tmp_path: Path) -> None:
     weights, figures = tmp_path / "mean.safetensors", tmp_path / "figures.json"
     save_detector(read_detector(FOLDER / "mean.safetensors"), weights)
 
-    def kept(device: str) -> list[np.ndarray]:
+    def maps(device: str) -> list[np.ndarray]:
         detector = read_detector(weights).to(device)
-        return [np.asarray(film.maps) for film in encode(footage, detector, tmp_path / device)]
+        return [np.asarray(rasterised.maps) for rasterised in encode(scenes, detector, tmp_path / device)]
 
     def report(device: str) -> str:
         args = evaluate.Args(n_vehicles=2, frames=2, weights=weights, json=figures, device=device)
@@ -169,9 +171,9 @@ def test_encoders_maps_and_figures_are_the_same_there(footage: list[Footage], tm
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(evaluate, "open_source", lambda _: SOURCE)
-        here = kept("cpu"), report("cpu")
+        here = maps("cpu"), report("cpu")
         with pretended():
-            there = kept("meta"), report("meta")
+            there = maps("meta"), report("meta")
     assert all(np.array_equal(a, b) for a, b in zip(here[0], there[0], strict=True)) and here[1] == there[1]
 
 

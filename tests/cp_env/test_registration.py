@@ -1,4 +1,4 @@
-"""The ids, the doors, and what importing costs."""
+"""The ids, the constructors, and what importing costs."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import inspect
 import pkgutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +18,12 @@ import pytest
 from pettingzoo.utils.env import AECEnv
 
 import cp_env
+from agents.sb3 import make_vec_env
 from cp_env.envs.parallel import CollaborativePerceptionEnv
 from cp_env.envs.single import JointAdversaryEnv
 from cp_env.envs.vector import JointAdversaryVectorEnv
 from cp_env.registration import ENV_ID, make_aec, make_parallel
-from cp_env.settings import Settings
+from cp_env.settings import DEFAULTS, OPTION_NAMES
 from cp_env.world.scene_cache import SceneBank
 from tests.cp_env.conftest import FRAMES
 
@@ -48,7 +50,7 @@ def test_registering_twice_does_nothing() -> None:
     assert ENV_ID in gymnasium.registry
 
 
-def test_the_three_doors(toy_town: None) -> None:
+def test_the_three_constructors(toy_town: None) -> None:
     env = cp_env.parallel_env("none", n_attackers=1, max_frames=2, action="full")
     assert env.possible_agents == ["adversary_0"]
     aec = cp_env.env("none", n_attackers=1, max_frames=2, action="full")
@@ -59,26 +61,27 @@ def test_the_three_doors(toy_town: None) -> None:
     assert isinstance(envs, JointAdversaryVectorEnv) and envs.num_envs == 2
 
 
-def test_no_module_takes_the_place_of_a_door() -> None:
+def test_no_module_hides_a_constructor() -> None:
     """Importing a module `cp_env.x` would put it where the function `cp_env.x` was."""
     modules = {module.name for module in pkgutil.iter_modules(cp_env.__path__)}
     assert not modules & set(cp_env.__all__)
 
 
-def test_defaults_are_those_of_the_settings() -> None:
-    """Each default is written twice: for the reader of `parallel_env`, and where it works."""
-    parameters = inspect.signature(cp_env.parallel_env).parameters
-    written = {name: parameter.default for name, parameter in parameters.items()}
-    for name, value in vars(Settings()).items():
-        assert written.pop(name) == value, name
-    eyes = {"detector": "cp_env", "checkpoint": None, "device": "cpu"}
-    assert written == {"defender": "prbi", "scenes": "town", "render_mode": None, **eyes}
-
-
-def test_every_knob_is_explained() -> None:
+def test_every_option_has_a_default_and_an_explanation() -> None:
+    """The keywords are those of `Options`; their defaults stand in `cp_env.settings` alone, and in the docstring."""
+    assert set(DEFAULTS) == set(OPTION_NAMES)
     documented = inspect.getdoc(cp_env.parallel_env) or ""
-    for name in inspect.signature(cp_env.parallel_env).parameters:
-        assert f"    {name}: " in documented, name
+    for name, value in DEFAULTS.items():
+        written = f'"{value}"' if isinstance(value, str) else str(value)
+        assert f"* `{name}` ({written}" in documented, name
+
+
+@pytest.mark.parametrize(
+    ("make", "args"), [(cp_env.parallel_env, ()), (cp_env.env, ()), (cp_env.vector_env, (2,)), (make_vec_env, (2,))]
+)
+def test_a_misspelt_option_names_the_nearest(make: Callable[..., Any], args: tuple[int, ...]) -> None:
+    with pytest.raises(ValueError, match=r"unknown option 'knowlege' .did you mean 'knowledge'"):
+        make(*args, knowlege="white-box")
 
 
 def loaded(statement: str) -> set[str]:

@@ -12,7 +12,7 @@ import pytest
 
 import defenders
 from defenders import Defender, Frame
-from defenders.simulation.world import PerfectWorld, Ruling
+from defenders.simulation.world import FrameResult, SimulatedWorld
 
 FRAMES = 10
 PROTOCOL = {"index", "n_vehicles", "present", "seen", "similarity", "agreement"}
@@ -25,12 +25,12 @@ class Guard:
         self._shown = {name: getattr(frame, name) for name in PROTOCOL}
 
     def __getattr__(self, name: str) -> object:
-        assert name in PROTOCOL, f"a defender looked for {name!r}"
+        assert name in PROTOCOL, f"a defender read {name!r}"
         return self._shown[name]
 
 
 @dataclass
-class FickleWorld(PerfectWorld):
+class FickleWorld(SimulatedWorld):
     """Similarities drawn from a hash of the views: normal, abnormal and contradictory frames in every order."""
 
     seed: int = 0
@@ -39,19 +39,19 @@ class FickleWorld(PerfectWorld):
         digest = hashlib.blake2b(f"{self.seed} {min(a, b)} {max(a, b)}".encode(), digest_size=2).digest()
         return int.from_bytes(digest, "big") / 65535
 
-    def show(self, lying: bool) -> Frame:
-        return Guard(super().show(lying))  # type: ignore[return-value]
+    def show(self, attack: bool) -> Frame:
+        return Guard(super().show(attack))  # type: ignore[return-value]
 
 
 def begin(defender: Defender, n: int, seed: int) -> FickleWorld:
-    liars = frozenset({seed % n})
-    if (tell := getattr(defender, "tell", None)) is not None:
-        tell(liars)
+    attackers = frozenset({seed % n})
+    if (reveal := getattr(defender, "reveal_attackers", None)) is not None:
+        reveal(attackers)
     defender.reset(n, np.random.default_rng(seed))
-    return FickleWorld(n, liars, seed=seed)
+    return FickleWorld(n, attackers, seed=seed)
 
 
-def episode(defender: Defender, n: int, seed: int) -> list[Ruling]:
+def episode(defender: Defender, n: int, seed: int) -> list[FrameResult]:
     world = begin(defender, n, seed)
     return [world.judge(defender) for _ in range(FRAMES)]
 
@@ -66,22 +66,22 @@ def test_groups_and_verdicts_hold_vehicles_only(defender: Defender, n: int) -> N
     """Groups and their number are checked by the world as well: QueryError."""
     everyone = frozenset(range(n))
     for seed in range(3):
-        for ruling in episode(defender, n, seed):
-            verdict = ruling.verdict
+        for result in episode(defender, n, seed):
+            verdict = result.verdict
             assert verdict.collaborators and verdict.collaborators <= everyone
             assert verdict.suspects <= everyone
-            assert not verdict.suspects & verdict.collaborators, "nobody accused is fused"
-            assert all(group and group <= everyone for group in ruling.groups)
+            assert not verdict.suspects & verdict.collaborators, "no flagged vehicle is fused"
+            assert all(group and group <= everyone for group in result.groups)
 
 
 @pytest.mark.parametrize("n", [2, 5, 8])
 def test_vehicles_appear_and_drop_out(defender: Defender, n: int) -> None:
-    """Whoever is there: a group or a verdict with nobody present would be a QueryError."""
+    """A group or a verdict without a present vehicle would be a QueryError."""
     for seed in range(3):
         world = begin(defender, n, seed)
         away = np.random.default_rng(seed).random((FRAMES, n)) < 0.5
         away[:, 0] = False
-        world.absent = lambda frame, liars, away=away: frozenset(np.flatnonzero(away[frame]).tolist())
+        world.absent = lambda frame, attackers, away=away: frozenset(np.flatnonzero(away[frame]).tolist())
         for _ in range(FRAMES):
             verdict = world.judge(defender).verdict
             assert not verdict.suspects & verdict.collaborators
@@ -111,17 +111,17 @@ def test_reset_forgets_everything(defender: Defender) -> None:
 def test_state_survives_pickling_between_frames(defender: Defender) -> None:
     expected = episode(copy.deepcopy(defender), 5, 3)
     world = begin(defender, 5, 3)
-    for ruling in expected:
+    for result in expected:
         defender = pickle.loads(pickle.dumps(defender))
-        assert world.judge(defender) == ruling
+        assert world.judge(defender) == result
 
 
 def test_two_instances_share_nothing(defender: Defender) -> None:
     one, other = defender, defenders.make(copy.deepcopy(defender))
     expected = episode(copy.deepcopy(one), 5, 4), episode(copy.deepcopy(other), 6, 5)
     worlds = begin(one, 5, 4), begin(other, 6, 5)
-    rulings = [(worlds[0].judge(one), worlds[1].judge(other)) for _ in range(FRAMES)]
-    assert tuple(map(list, zip(*rulings, strict=True))) == expected
+    results = [(worlds[0].judge(one), worlds[1].judge(other)) for _ in range(FRAMES)]
+    assert tuple(map(list, zip(*results, strict=True))) == expected
 
 
 def test_nobody_touches_the_global_generator(defender: Defender) -> None:
@@ -134,7 +134,7 @@ def test_the_guard_guards() -> None:
     class Spy(defenders.NoDefence):
         def inspect(self, frame: Frame) -> defenders.Inspection:
             yield from ()
-            return defenders.Verdict(frame.liars)  # type: ignore[attr-defined]
+            return defenders.Verdict(frame.attackers)  # type: ignore[attr-defined]
 
-    with pytest.raises(AssertionError, match="liars"):
+    with pytest.raises(AssertionError, match="attackers"):
         episode(Spy(), 5, 0)

@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 
 from cp_env import evaluation
+from cp_env.evaluation.execution import runner
+from cp_env.evaluation.plan.records import IOUS
 from cp_env.metrics.average_precision import ApMeter
 from cp_env.metrics.intervals import Interval
 from cp_env.types import Detections
@@ -19,7 +21,7 @@ from examples.reproduce.paper_tables import ATTACKS, TABLE_3, TABLE_6, TABLE_7, 
 from tests.helpers.toy_scenes import ToySource
 
 ARGS = defence_tables.Args(n_scenes=2, frames=2)
-PROTOCOL = evaluation.Protocol(ToySource(n_frames=2), ("toy-0", "toy-1"), 2)
+CONDITIONS = evaluation.Conditions(ToySource(n_frames=2), ("toy-0", "toy-1"), 2)
 
 
 def line(table: PaperTable, label: str) -> Line:
@@ -45,30 +47,30 @@ def test_the_papers_averages_are_those_of_its_rows(figure: str) -> None:
 
 
 def test_every_cell_is_played_once_and_attacks_in_a_row() -> None:
-    cells = defence_tables.plan(PROTOCOL, TABLE_3, ARGS)
-    assert len(cells) == len(set(cells)) == 2 * (2 + 3 * 7)
-    assert {cell.k for cell in cells if cell.attack != "none"} == {2}
-    games = [(cell.names, cell.attack) for cell in cells]
+    runs = defence_tables.plan(CONDITIONS, TABLE_3, ARGS)
+    assert len(runs) == len(set(runs)) == 2 * (2 + 3 * 7)
+    assert {run.k for run in runs if run.attack != "none"} == {2}
+    games = [(run.names, run.attack) for run in runs]
     assert sum(a != b for a, b in itertools.pairwise(games)) == len(set(games)) - 1
-    intermittent = {cell.attack for cell in defence_tables.plan(PROTOCOL, TABLE_6, ARGS)}
+    intermittent = {run.attack for run in defence_tables.plan(CONDITIONS, TABLE_6, ARGS)}
     assert intermittent == {"pgd", "pgd:schedule=every@3:1", "pgd:schedule=every@5:1"}
-    thresholds = {cell.defender for cell in defence_tables.plan(PROTOCOL, TABLE_7, ARGS)}
+    thresholds = {run.defender for run in defence_tables.plan(CONDITIONS, TABLE_7, ARGS)}
     assert thresholds == {f"prbi:epsilon={epsilon}" for epsilon in (0.3, 0.35, 0.4, 0.45, 0.5)}
 
 
 def test_one_attacker_serves_all_cells() -> None:
-    assert defence_tables.attacker("pgd", steps=3) is defence_tables.attacker("pgd", steps=3)
-    assert defence_tables.attacker("pgd", steps=3) is not defence_tables.attacker("pgd", steps=4)
+    assert defence_tables.make_attack("pgd", steps=3) is defence_tables.make_attack("pgd", steps=3)
+    assert defence_tables.make_attack("pgd", steps=3) is not defence_tables.make_attack("pgd", steps=4)
 
 
 def record(scene: str, hit: bool, converged: int | None = None) -> evaluation.Record:
     """One frame with one vehicle, which is found or not."""
     box = np.array([[0.0, 0.0, 4.0, 2.0, 0.0]], dtype=np.float32)
-    meter = ApMeter(evaluation.store.IOUS)
+    meter = ApMeter(IOUS)
     meter.add(Detections(box if hit else box + 10, np.array([0.9], dtype=np.float32)), box)
     return evaluation.Record(
         scene=scene,
-        liars=(1, 2),
+        attackers=(1, 2),
         n_maps=5,
         grace_frames=1,
         meter=meter,
@@ -84,15 +86,15 @@ def record(scene: str, hit: bool, converged: int | None = None) -> evaluation.Re
 
 def test_figures_are_averages_over_attacks() -> None:
     hits = {"pgd": True, "bim": True, "cw": False}
-    played = {
-        evaluation.Cell(defender, attack, 2, 0, (scene,)): (record(scene, hits[attack], 3 if attack == "cw" else 1),)
+    results = {
+        evaluation.Run(defender, attack, 2, 0, (scene,)): (record(scene, hits[attack], 3 if attack == "cw" else 1),)
         for defender in ("prbi", "none")
         for attack in ATTACKS
         for scene in ("toy-0", "toy-1")
     }
-    found = defence_tables.figures(Line("average", "prbi", ATTACKS), played)
+    found = defence_tables.figures(Line("average", "prbi", ATTACKS), results)
     assert found["ap50"] == Interval(2 / 3, 2 / 3, 2 / 3, 2)
-    alone = defence_tables.figures(Line("C&W", "prbi", ("cw",)), played)
+    alone = defence_tables.figures(Line("C&W", "prbi", ("cw",)), results)
     assert alone["ap50"] is not None and alone["ap50"].mean == 0
     for name, expected in (("id_rate", 0.5), ("mc_rate", 0.0), ("frames_to_convergence", 5 / 3)):
         interval = found[name]
@@ -121,7 +123,7 @@ def test_a_table_is_played_printed_and_drawn(
     data = json.loads((tmp_path / "table_3.json").read_text())
     assert [row["label"] for row in data["rows"]] == ["PGD, no defence", "average, PRBI"]
     assert (tmp_path / "table_3.png").stat().st_size > 10_000
-    monkeypatch.setattr(evaluation.runner, "play", lambda *_: pytest.fail("played again"))
+    monkeypatch.setattr(runner, "play", lambda *_: pytest.fail("played again"))
     defence_tables.main(args)
     assert capsys.readouterr().out == first
 
@@ -139,12 +141,12 @@ def test_fig_2_shows_what_the_ego_acts_on(tmp_path: Path, monkeypatch: pytest.Mo
     )
     defence_pictures.main(args)
     data = json.loads((tmp_path / "defence_pictures.json").read_text())
-    honest, attacked, alone = data["panels"]
+    benign, attacked, alone = data["panels"]
     assert [panel["condition"] for panel in data["panels"]] == ["no attack", "BIM, no defence", "BIM, ego_only"]
-    assert honest["liars"] == [] and len(attacked["liars"]) == 2
+    assert benign["attackers"] == [] and len(attacked["attackers"]) == 2
     assert (attacked["fused"], alone["fused"]) == ([0, 1, 2, 3, 4], [0])
-    assert honest["truth"] == attacked["truth"] == alone["truth"] and honest["seen"] != attacked["seen"]
-    assert len(honest["seen"]) == honest["ghosts"] + len(honest["truth"]) - honest["missed"]
+    assert benign["truth"] == attacked["truth"] == alone["truth"] and benign["seen"] != attacked["seen"]
+    assert len(benign["seen"]) == benign["ghosts"] + len(benign["truth"]) - benign["missed"]
     assert (tmp_path / "defence_pictures.png").stat().st_size > 30_000
     monkeypatch.setattr(defence_pictures, "play", lambda *_: pytest.fail("played again"))
     defence_pictures.main(args)

@@ -18,11 +18,11 @@ def test_add_a_defender(k: int) -> None:
     assert len(inspect.getsource(defender).splitlines()) <= 25
     for seed in range(5):
         episode = play(defender(), 5, k, seed, max_frames=3)
-        assert episode.suspects == episode.liars
+        assert episode.suspects == episode.attackers
         assert episode.verifications == [5, 5, 5]
 
 
-def test_prbi_beside_the_paper(capsys: pytest.CaptureFixture[str]) -> None:
+def test_prbi_against_the_paper(capsys: pytest.CaptureFixture[str]) -> None:
     figures = prbi_perfect.measure(prbi_perfect.Args(episodes=25), 2, Reading())
     assert (figures.least, figures.most) == (2, 4)
     assert figures.identified.mean == 100 and figures.unsettled == 0

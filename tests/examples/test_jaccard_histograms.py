@@ -26,9 +26,9 @@ def test_fig_6_compares_consecutive_outputs(bank: SceneBank) -> None:
     found = {c: jaccard_histograms.play(bank, "mean", c, "toy-0", args) for c in ("upper bound", "lower bound", "BIM")}
     for values in found.values():
         assert all(len(row) == 2 and all(0 <= value <= 1 for value in row) for row in values.values())
-    for honest in ("upper bound", "lower bound"):
-        assert found[honest]["to_output"] == found[honest]["to_honest"]
-    assert max(found["BIM"]["to_honest"]) < 0.5 < min(found["upper bound"]["to_honest"])
+    for bound in ("upper bound", "lower bound"):
+        assert found[bound]["to_output"] == found[bound]["to_benign"]
+    assert max(found["BIM"]["to_benign"]) < 0.5 < min(found["upper bound"]["to_benign"])
     assert jaccard_histograms.play(bank, "mean", "BIM", "toy-0", args) == found["BIM"]
 
 
@@ -45,7 +45,7 @@ def test_fig_6_goes_on_where_it_stopped(
         if len(seen) == 7:
             raise KeyboardInterrupt
         seen.append(f"{fusion} {condition} {name}")
-        return {"to_output": [0.5], "to_honest": [0.25]}
+        return {"to_output": [0.5], "to_benign": [0.25]}
 
     monkeypatch.setattr(jaccard_histograms, "play", quick)
     with pytest.raises(KeyboardInterrupt):

@@ -16,7 +16,7 @@ def record(verifications: tuple[int, ...], converged: int | None) -> Record:
     zeros = tuple(0.0 for _ in verifications)
     return Record(
         scene="s",
-        liars=(1, 2),
+        attackers=(1, 2),
         n_maps=5,
         grace_frames=1,
         meter=ApMeter((0.5, 0.7)),
@@ -41,8 +41,8 @@ def test_a_row_of_tables_4_and_5() -> None:
     row = prbi_parameters.summarise(2, 0.2, 10, runs)
     assert (row.least, row.most, row.unsettled) == (2, 4, 50)
     assert (row.low.mean, row.high.mean, row.mean.mean, row.frames.mean) == (2, 3, 18 / 8, 4)
-    assert row.identified is not None and row.wronged is not None
-    assert (row.identified.mean, row.wronged.mean) == (100, 50)  # of those that converged
+    assert row.identified is not None and row.false_accusation_rate is not None
+    assert (row.identified.mean, row.false_accusation_rate.mean) == (100, 50)  # of those that converged
     assert prbi_parameters.summarise(2, 0.2, 10, runs[1:]).identified is None
 
 
@@ -63,15 +63,15 @@ def test_since_when_something_holds() -> None:
     assert math.isinf(prbi_fleets.since(np.array([True, False])))
 
 
-def test_fig_4_and_fig_5_end_with_the_liars_alone() -> None:
+def test_fig_4_and_fig_5_end_with_the_attackers_alone() -> None:
     m, right = prbi_fleets.watch(6, 2, 0, 60)
     assert right[-1] and abs(m[-1] - 2) < 0.5
     run = prbi_probability.under_the_truth(prbi_probability.Args(frames=25), 2, 0)
-    assert [i for i, p in enumerate(run.belief[-1]) if p == 1] == run.liars
+    assert [i for i, p in enumerate(run.belief[-1]) if p == 1] == run.attackers
 
 
 def test_the_trace_shows_a_saw_tooth() -> None:
-    """From the frame on in which the liars alone are at zero, m is at most a step above k, and ⌊m⌋ = k is a peak."""
+    """Once the attackers alone are at zero, m is at most a step above k, and ⌊m⌋ = k is a peak."""
     m, zeros, _ = prbi_stopping.trace(prbi_stopping.Args(frames=120))
     late = slice(60, None)
     assert (zeros[late] == 4).all() and abs(m[late] - 4).max() < 0.3

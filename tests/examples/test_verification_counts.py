@@ -13,13 +13,13 @@ from tests.helpers.toy_scenes import ToySource
 
 
 @pytest.mark.parametrize("n", [2, 5, 7])
-def test_a_tossed_group_is_clean_as_eq_3_says(n: int) -> None:
+def test_an_independently_drawn_group_is_clean_as_eq_3_says(n: int) -> None:
     for k in range(1, n):
-        assert clean_groups.limit("coin", n, k) == pytest.approx((2 ** (n - k) - 1) / (2**n - 1))
+        assert clean_groups.limit("independent", n, k) == pytest.approx((2 ** (n - k) - 1) / (2**n - 1))
 
 
 def test_other_splits_of_five() -> None:
-    """Halves of 2 and 3: both liars in one with (1 + 3)/10. Even: 1|4 or 2|3, so (6/10 + 4/10)/2 of the frames."""
+    """Halves of 2 and 3: both attackers in one with (1 + 3)/10. Even: 1|4 or 2|3, so (6/10 + 4/10)/2 of the frames."""
     assert [clean_groups.limit("half", 5, k) for k in (1, 2, 3, 4)] == pytest.approx([0.5, 0.2, 0.05, 0])
     assert [clean_groups.limit("even", 5, k) for k in (1, 2, 3, 4)] == pytest.approx([0.5, 0.25, 0.125, 0.05])
 
@@ -48,8 +48,8 @@ def test_what_robosac_promises_and_keeps() -> None:
     assert robosac_budget.row("budgeted", 2, 5, args)[4] == "refused"
 
 
-def test_thresholds_tell_the_honest_from_liars() -> None:
-    """Two liars count as much as one: below 0.5 no honest group fails, above 0.3 one liar passes in half its groups."""
+def test_thresholds_separate_benign_groups_from_others() -> None:
+    """Two attackers count as much as one: below 0.5 no benign group fails, above 0.3 half the groups of one pass."""
     found: calibrate_pasac.Found = defaultdict(lambda: defaultdict(list))
     found[2, 0]["a"] = [0.5, 0.6, 0.7, 0.8]
     found[2, 1]["a"], found[2, 2]["b"] = [0.1, 0.9], [0.2, 0.3, 0.1, 0.1]
@@ -74,7 +74,7 @@ def test_prbi_in_its_first_abnormal_frame(k: int, least: int, most: int) -> None
 
 
 def test_the_same_count_on_the_detector() -> None:
-    """Three collaborators on toy scenes: two looks at least, four at most, in each of the two frames under attack."""
+    """Three collaborators on toy scenes: two to four verifications in each of the two frames under attack."""
     args = verification_counts.Args(n=3, scenes=ToySource(n_frames=3), n_scenes=1, frames=3)
     counts = verification_counts.count_on_detector("PASAC", 1, args)
     assert counts.shape == (1, 2) and counts.min() >= 2 and counts.max() <= 4

@@ -13,7 +13,7 @@ from cp_env.world.situation import Situation
 def foolbox_attack(
     name: str, loss: Loss, situation: Situation, *, start: torch.Tensor | None, steps: int, step_size: float
 ) -> torch.Tensor:
-    """δ [E, k, C, H, W] by the attack of that name. To Foolbox every liar's map is an image of its own, and its class
+    """δ [E, k, C, H, W] by the attack of that name. For Foolbox an attacker's map is an image of its own, and its class
     a matter of no interest; its models, losses and random starts are made to be overridden."""
     import eagerpy
     import foolbox

@@ -1,4 +1,4 @@
-"""PGD and BIM beside those of Foolbox (the extra `attacks-check`): the same loss from the same start.
+"""PGD and BIM against those of Foolbox (the extra `attacks-check`): the same loss from the same start.
 
 Its MI-FGSM sums signs where Dong et al. sum gradients, so ours is held to their Algorithm 1 instead: test_ascent.py.
 """
@@ -12,9 +12,9 @@ import pytest
 import torch
 
 import agents
-from agents.attacks.constraint import make_ball
-from agents.attacks.objectives.untargeted import Objective
-from agents.attacks.targets import attack_loss, everyone, survey
+from agents.attacks.objectives.untargeted import UntargetedObjective
+from agents.attacks.targets import attack_loss, collect_targets, everyone
+from cp_env.perturbation.ball import make_ball
 from cp_env.world.situation import Situation
 from tests.external.foolbox_twin import foolbox_attack
 from tests.helpers import situations
@@ -35,12 +35,12 @@ THEIRS = {
 @pytest.mark.parametrize(("name", "norm"), THEIRS)
 def test_the_same_loss_from_the_same_start(name: str, norm: str) -> None:
     situation = situations.situation(MODEL, n_worlds=4, norm=norm, budget=NORMS[norm])
-    knobs: dict[str, Any] = {"steps": STEPS, "step_size": NORMS[norm] / 6}
-    ours = agents.make(name, **knobs)
+    options: dict[str, Any] = {"steps": STEPS, "step_size": NORMS[norm] / 6}
+    ours = agents.make(name, **options)
     ours.reset(4, [np.random.default_rng(seed) for seed in range(4)])
     start = torch.stack([_start(situation, norm, seed) for seed in range(4)]) if name == "pgd" else None
-    loss = attack_loss(survey(situation, everyone, situation.active, joint=True), Objective())
-    theirs = foolbox_attack(THEIRS[name, norm], loss, situation, start=start, **knobs)
+    loss = attack_loss(collect_targets(situation, everyone, situation.active, joint=True), UntargetedObjective())
+    theirs = foolbox_attack(THEIRS[name, norm], loss, situation, start=start, **options)
     mine, other = situations.value(situation, ours.act(situation)), situations.value(situation, theirs)
     assert (other > 0.05).all()
     torch.testing.assert_close(mine.mean(), other.mean(), rtol=0.01, atol=0)

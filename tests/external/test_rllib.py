@@ -33,13 +33,13 @@ def node() -> Iterator[None]:
 
 @pytest.mark.usefixtures("node")
 def test_the_page(sketched_page: Run) -> None:
-    """One iteration: frames are sampled and the liars' shared policy moves."""
+    """One iteration: frames are sampled and the attackers' shared policy moves."""
     names = sketched_page("docs/rllib.md")
     result = names["result"]
     assert result["env_runners"]["num_env_steps_sampled_lifetime"] >= 12
-    learnt = result["learners"]["liar"]
+    learnt = result["learners"]["attacker"]
     assert np.isfinite(learnt["total_loss"]) and learnt["num_module_steps_trained"] > 0
-    assert result["env_runners"]["num_module_steps_sampled"]["liar"] >= 24, "two liars a frame"
+    assert result["env_runners"]["num_module_steps_sampled"]["attacker"] >= 24, "two attackers a frame"
 
 
 def test_the_wrapper_s_frames_are_the_environment_s() -> None:

@@ -21,7 +21,7 @@ def test_the_page(sketched_page: Run) -> None:
 
 
 def test_a_step_is_the_environment_s(sketched_page: Run) -> None:
-    """Rows are the liars of one world in order: what the environment itself says of the same actions."""
+    """Rows are the attackers of one world in order: what the environment itself says of the same actions."""
     import supersuit
 
     import cp_env

@@ -20,17 +20,17 @@ def test_the_page(sketched_page: Run) -> None:
     assert bool(rollout["next", "truncated"][-1])
 
 
-@pytest.mark.parametrize("knobs", [{"observation": "features"}, {"slots": "vehicles", "observation": "compact"}])
-def test_specs(knobs: dict[str, Any]) -> None:
+@pytest.mark.parametrize("options", [{"observation": "features"}, {"slots": "vehicles", "observation": "compact"}])
+def test_specs(options: dict[str, Any]) -> None:
     """Dict observations and vehicles as agents too; with the state for centralised critics."""
     from torchrl.envs import PettingZooWrapper, check_env_specs
 
     import cp_env
     from tests.helpers.stand_in_town import Sketch
 
-    env = PettingZooWrapper(cp_env.parallel_env("prbi", scenes=Sketch(), max_frames=3, **knobs), return_state=True)
+    env = PettingZooWrapper(cp_env.parallel_env("prbi", scenes=Sketch(), max_frames=3, **options), return_state=True)
     check_env_specs(env)
-    group = "vehicle" if "slots" in knobs else "adversary"
+    group = "vehicle" if "slots" in options else "adversary"
     rollout = env.rollout(3)
     assert rollout["state"].shape == (3, 5, 128, 32, 32)
     assert list(env.group_map) == [group] and rollout[group, "action"].shape[1] == len(env.group_map[group])

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from defenders.bayes.histograms import Calibrated
-from defenders.bayes.likelihood import liars_in_groups, liars_in_one, overlaps
+from defenders.bayes.likelihood import attackers_in_groups, attackers_in_one, overlaps
 
 
-def made_up(seed: int, *, most: int = 3, bins: int = 4, manners: int = 2) -> Calibrated:
+def made_up(seed: int, *, most: int = 3, bins: int = 4, modes: int = 2) -> Calibrated:
     """Densities as wild as they may be."""
     rng = np.random.default_rng(seed)
 
@@ -22,9 +22,9 @@ def made_up(seed: int, *, most: int = 3, bins: int = 4, manners: int = 2) -> Cal
     return Calibrated(
         np.linspace(0, 1, bins + 1),
         [rows(overlaps(most)) for _ in range(2)],
-        [rows(liars_in_one(most)) for _ in range(manners)],
-        [rows(pairs) for _ in range(manners)],
+        [rows(attackers_in_one(most)) for _ in range(modes)],
+        [rows(pairs) for _ in range(modes)],
         np.linspace(0, 1, 4),
-        [rows(liars_in_groups(most), 3) for _ in range(manners)],
+        [rows(attackers_in_groups(most), 3) for _ in range(modes)],
         tail=0.05,
     )

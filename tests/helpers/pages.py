@@ -4,7 +4,7 @@ Conventions of the pages:
 
     n = 5_000  # three minutes; 64 in the tests      a number that would take minutes: the tests put the second in
     ```sh … ```                                      every program must exist and take the arguments given
-    ```text … ```                                    output: not looked at here
+    ```text … ```                                    output: not checked here
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def run_page(page: str, names: dict[str, Any] | None = None, paths: dict[str, st
 
     Args:
         page: path from the root.
-        names: what the page takes for granted, beside `cp_env`.
+        names: what the page takes for granted, besides `cp_env`.
         paths: strings to put in the place of others, such as a folder of data that is not here.
     """
     import cp_env

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from agents.attacks.objectives.untargeted import Objective
-from agents.attacks.targets import Audience, Goal, Views, attack_loss, everyone, survey
+from agents.attacks.objectives.untargeted import UntargetedObjective
+from agents.attacks.targets import AttackTargets, Objective, TargetGroups, attack_loss, collect_targets, everyone
 from cp_env.detector import Dense, Detector
 from cp_env.detector.training.loss import Targets
 from cp_env.types import Detections, View
@@ -37,10 +37,10 @@ def detector(seed: int = 0) -> Detector:
 
 
 def situation(
-    model: Detector, n_worlds: int = 2, n_liars: int = 2, n_maps: int = 4, first: int = 0, **overrides: Any
+    model: Detector, n_worlds: int = 2, n_attackers: int = 2, n_maps: int = 4, first: int = 0, **overrides: Any
 ) -> Situation:
     """Worlds `first`, `first + 1`, …: each is drawn from its own number alone."""
-    worlds = [_world(e, n_liars, n_maps) for e in range(first, first + n_worlds)]
+    worlds = [_world(e, n_attackers, n_maps) for e in range(first, first + n_worlds)]
     features, pose, attackers = (torch.stack(column) for column in zip(*worlds, strict=True))
     coverage, received = model.coverage(pose), model.warp(features, pose)
     everyone = torch.ones(n_worlds, n_maps, dtype=torch.bool)
@@ -61,14 +61,14 @@ def situation(
         place=np.zeros((n_worlds, 2)),
         output=(None,) * n_worlds,
         verdict=(None,) * n_worlds,
-        rehearse=rehearse,
+        simulate=simulate,
     )
     return replace(made, **overrides)
 
 
-def views(situation: Situation) -> Views:
+def targets(situation: Situation) -> AttackTargets:
     """Everyone's view, in every world."""
-    return survey(situation, everyone, torch.ones(len(situation.fused), dtype=torch.bool), joint=True)
+    return collect_targets(situation, everyone, torch.ones(len(situation.fused), dtype=torch.bool), joint=True)
 
 
 def dense(drawn: Targets, logit: float = 6.0, elsewhere: float = -8.0) -> Dense:
@@ -77,23 +77,26 @@ def dense(drawn: Targets, logit: float = 6.0, elsewhere: float = -8.0) -> Dense:
 
 
 def value(
-    situation: Situation, delta: torch.Tensor, goal: Goal | None = None, audience: Audience = everyone
+    situation: Situation,
+    delta: torch.Tensor,
+    objective: Objective | None = None,
+    target_groups: TargetGroups = everyone,
 ) -> torch.Tensor:
-    """What δ is worth to the liars of each world; a liar must be in a group of every world."""
-    views = survey(situation, audience, torch.ones(len(delta), dtype=torch.bool), joint=True)
-    return attack_loss(views, goal or Objective())(delta)
+    """The value of δ in each world; an attacker must be in a group of every world."""
+    targets = collect_targets(situation, target_groups, torch.ones(len(delta), dtype=torch.bool), joint=True)
+    return attack_loss(targets, objective or UntargetedObjective())(delta)
 
 
-def groups_of(groups: torch.Tensor) -> Audience:
-    """The audience of one group for each world."""
+def groups_of(groups: torch.Tensor) -> TargetGroups:
+    """Target groups of one group for each world."""
     return lambda situation: (groups[:, None], torch.ones(len(groups), 1))
 
 
-def rehearse(delta: torch.Tensor, coins: Sequence[np.random.Generator]) -> Any:
-    """A defence that parts four vehicles at random, asks for both groups, fuses everyone and accuses nobody."""
+def simulate(delta: torch.Tensor, rngs: Sequence[np.random.Generator]) -> Any:
+    """A defence that parts four vehicles at random, asks for both groups, fuses everyone and flags none."""
     judgements = []
     for e, _ in enumerate(delta):
-        order = coins[e].permutation(4).tolist()
+        order = rngs[e].permutation(4).tolist()
         groups = frozenset(order[:2]), frozenset(order[2:])
         nothing = Detections(np.zeros((0, 5)), np.zeros(0))
         view = View(groups[0], 0, np.zeros(2), nothing, nothing, np.zeros((1, 1)))
@@ -101,11 +104,11 @@ def rehearse(delta: torch.Tensor, coins: Sequence[np.random.Generator]) -> Any:
     return SimpleNamespace(judgements=tuple(judgements))
 
 
-def _world(seed: int, n_liars: int, n_maps: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+def _world(seed: int, n_attackers: int, n_maps: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     rng = np.random.default_rng(seed)
     features = rng.standard_normal((n_maps, CHANNELS, SIZE, SIZE), dtype=np.float32).clip(0)
     pose = np.concatenate([rng.uniform(-20, 20, (n_maps, 2)), np.zeros((n_maps, 1))], axis=1).astype(np.float32)
     pose[0] = 0
     features[0, :, :, : SIZE // 2] = 0  # the ego sees nothing in the west
-    attackers = np.sort(rng.choice(n_maps, n_liars, replace=False))
+    attackers = np.sort(rng.choice(n_maps, n_attackers, replace=False))
     return torch.from_numpy(features), torch.from_numpy(pose), torch.from_numpy(attackers)

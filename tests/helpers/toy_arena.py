@@ -21,16 +21,16 @@ class NamedToy(ToySource):
         super().__init__(n_frames=4)
 
 
-def toy_detector(fusion: str) -> Detector:
+def toy_detector(detector: str, fusion: str) -> Detector:
     """In the place of those that ship."""
-    assert fusion == "mean"
+    assert (detector, fusion) == ("cp_env", "mean")
     return toy_bank().detector
 
 
-def install(setitem: Callable[..., Any] = dict.__setitem__, setattr: Callable[..., Any] = setattr) -> None:
+def install(setitem: Callable[..., Any] = dict.__setitem__, set_attribute: Callable[..., Any] = setattr) -> None:
     """Make the scenes known, and the detector the one that is loaded."""
     setitem(SOURCES, "toy", "tests.helpers.toy_arena:NamedToy")
-    setattr(cp_env.evaluation.execution.workers, "load_detector", toy_detector)
+    set_attribute(cp_env.evaluation.execution.workers, "open_detector", toy_detector)
 
 
 if __name__ in ("__main__", "__mp_main__"):  # its workers, too

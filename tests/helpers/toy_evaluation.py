@@ -1,4 +1,4 @@
-"""Toy cells, a toy bank that any process can open, records made by hand, and outsiders good and bad."""
+"""Toy runs, a toy bank that any process can open, records made by hand, and attacks and defenders that break down."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from agents.attacks.noise import Silence
+from agents.attacks.noise import NoPerturbation
 from cp_env.detector import Detector
-from cp_env.evaluation import Cell, Crew, Protocol, Record, Row, Store, about, plan, summarise, write_report
+from cp_env.evaluation import Conditions, Record, Row, Run, Store, Workers, about, plan_runs, summarise, write_report
 from cp_env.metrics.average_precision import ApMeter
 from cp_env.types import Detections
 from cp_env.world.scene_cache import SceneBank
@@ -25,8 +25,8 @@ from defenders import Defender, Frame, Inspection, Verdict
 from tests.helpers.toy_scenes import ToySource
 
 SOURCE = ToySource(n_frames=6)
-PROTOCOL = Protocol(SOURCE, SOURCE.names(), frames=3)
-CELLS = plan(PROTOCOL, defenders=("none", "prbi"), attacks=("none", "pgd:steps=1"), ks=(2,), seeds=(7,), batch=1)
+CONDITIONS = Conditions(SOURCE, SOURCE.names(), frames=3)
+RUNS = plan_runs(CONDITIONS, defenders=("none", "prbi"), attacks=("none", "pgd:steps=1"), ks=(2,), seeds=(7,), batch=1)
 
 
 @cache
@@ -40,16 +40,16 @@ def toy_bank() -> SceneBank:
     return SceneBank(SOURCE, detector, progress=False)
 
 
-def open_toy(protocol: Protocol) -> SceneBank:
-    """What `Crew.open_bank` is to open."""
-    del protocol
+def open_toy(conditions: Conditions) -> SceneBank:
+    """What `Workers.open_bank` is to open."""
+    del conditions
     return toy_bank()
 
 
-def ticking(**knobs: Any) -> Crew:
-    """A crew of this process whose clock counts how often it is read."""
+def ticking(**options: Any) -> Workers:
+    """Workers in this process whose clock counts how often it is read."""
     ticks = itertools.count()
-    return Crew(open_bank=open_toy, clock=lambda: float(next(ticks)), **knobs)
+    return Workers(open_bank=open_toy, clock=lambda: float(next(ticks)), **options)
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -58,9 +58,9 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {str(file.relative_to(folder)): file.read_bytes() for file in files}
 
 
-def untimed(records: dict[Cell, tuple[Record, ...]]) -> dict[Cell, list[dict[str, Any]]]:
+def untimed(records: dict[Run, tuple[Record, ...]]) -> dict[Run, list[dict[str, Any]]]:
     """What does not depend on how fast it was played."""
-    return {cell: [{**record.to_json(), "seconds": 0.0} for record in of] for cell, of in records.items()}
+    return {run: [{**record.to_json(), "seconds": 0.0} for record in of] for run, of in records.items()}
 
 
 def record(scene: str, hits: str, n_truth: int, **changes: Any) -> Record:
@@ -71,7 +71,7 @@ def record(scene: str, hits: str, n_truth: int, **changes: Any) -> Record:
     meter = ApMeter((0.5, 0.7))
     meter.add(Detections(np.array(found).reshape(-1, 5), np.linspace(0.9, 0.1, len(hits))), here)
     plain: dict[str, Any] = {
-        "liars": (1, 3),
+        "attackers": (1, 3),
         "n_maps": 5,
         "grace_frames": 1,
         "damage": (0.0, 0.5, 0.25),
@@ -87,14 +87,14 @@ def record(scene: str, hits: str, n_truth: int, **changes: Any) -> Record:
 
 def rows_of(**groups: list[Record]) -> dict[str, Row]:
     """Rows by defender; a group's name is `defender__attack`."""
-    played = {Cell(*name.split("__"), 0 if name.endswith("none") else 2, 0, ("x",)): of for name, of in groups.items()}
-    return {f"{row.defender}__{row.attack}": row for row in summarise(played, resamples=200)}
+    results = {Run(*name.split("__"), 0 if name.endswith("none") else 2, 0, ("x",)): of for name, of in groups.items()}
+    return {f"{row.defender}__{row.attack}": row for row in summarise(results, resamples=200)}
 
 
 def report(folder: Path) -> None:
-    """The toy plan's report beside its cells."""
+    """The toy plan's report in the folder of its runs."""
     store = Store(folder)
-    write_report(folder, summarise(store.load(CELLS, PROTOCOL), resamples=50), about(PROTOCOL, "python x.py"))
+    write_report(folder, summarise(store.load(RUNS, CONDITIONS), resamples=50), about(CONDITIONS, "python x.py"))
 
 
 class Grumpy(Defender):
@@ -110,15 +110,15 @@ class Grumpy(Defender):
         return Verdict(range(frame.n_vehicles))
 
 
-class Clumsy(Silence):
-    """An attacker that breaks down."""
+class Clumsy(NoPerturbation):
+    """An attack that breaks down."""
 
     def act(self, situation: Situation) -> Float[Tensor, "E k C H W"]:
         raise RuntimeError(f"stumbled in frame {situation.frame[0]}")
 
 
-class Fatal(Silence):
-    """An attacker that takes its process with it."""
+class Fatal(NoPerturbation):
+    """An attack that takes its process with it."""
 
     def act(self, situation: Situation) -> Float[Tensor, "E k C H W"]:
         os.kill(os.getpid(), signal.SIGKILL)

@@ -1,4 +1,4 @@
-"""Every snippet of the documentation runs, every command in it can be given, every table of knobs is true."""
+"""Every snippet of the documentation runs, every command in it can be given, every table of options is true."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ import numpy as np
 import pytest
 import yaml
 
-import cp_env
 import defenders
 from cp_env import cli
 from cp_env.scenes.export import export
+from cp_env.settings import DEFAULTS
 from cp_env.types import Detections
 from tests.helpers.coperception_files import write_files
 from tests.helpers.pages import ROOT, accepts, blocks, commands, in_tests, pages, run_page
@@ -31,7 +31,7 @@ from tests.helpers.v2xsim_sets import Numbered, Thin
 from tests.reference import coperception as twin
 
 LIBRARIES = ("benchmarl", "rllib", "supersuit", "torchrl")
-"""Their pages run in environments of their own: `make libraries`, tests/libraries/."""
+"""Their pages run in environments of their own: `make libraries`, tests/external/."""
 
 
 @pytest.fixture
@@ -81,7 +81,7 @@ BOX = Detections(np.array([[1.0, 2.0, 4.5, 1.8, 0.1]]), np.array([0.9]))
 NAMES: dict[str, dict[str, Any]] = {
     "docs/average-precision.md": {"detections": [BOX], "truths": [BOX.boxes]},
     "docs/verification-counts.md": {
-        "samples": {(size, liars): [0.9 - 0.2 * liars] for size in range(1, 6) for liars in range(min(size, 4) + 1)}
+        "samples": {(size, k): [0.9 - 0.2 * k] for size in range(1, 6) for k in range(min(size, 4) + 1)}
     },
 }
 """What a page takes for granted."""
@@ -101,7 +101,7 @@ def test_pages_of_libraries_are_tested_elsewhere() -> None:
     targets = (ROOT / "Makefile").read_text()
     for name in LIBRARIES:
         assert list(blocks(f"docs/{name}.md", "python")) and name in targets
-        assert f'"docs/{name}.md"' in (ROOT / f"tests/libraries/test_{name}.py").read_text()
+        assert f'"docs/{name}.md"' in (ROOT / f"tests/external/test_{name}.py").read_text()
 
 
 def test_the_python_of_the_readme_runs(sketched: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -155,8 +155,8 @@ def _mine() -> ModuleType:
 
 def _silent(function: Callable[..., None]) -> Callable[..., None]:
     @functools.wraps(function)
-    def nothing(*args: Any, **knobs: Any) -> None:
-        del args, knobs
+    def nothing(*args: Any, **options: Any) -> None:
+        del args, options
 
     return nothing
 
@@ -190,17 +190,18 @@ def _check(words: list[str]) -> None:
 def _given_to_cp_env(given: list[str]) -> None:
     try:
         cli.main(given)
-    except SystemExit as error:
-        assert not error.code or given[-1].startswith("--"), given
-        if error.code:
+    except SystemExit as stop:
+        if stop.code and not given[-1].startswith("--"):
+            raise AssertionError(f"cannot be given: {given}") from stop
+        if stop.code:
             _given_to_cp_env([*given, "0"])  # an option mentioned without its value
 
 
 # -- tables and menu -------------------------------------------------------------------------------------------------
 
 
-def knobs_of(page: str) -> dict[str, dict[str, str]]:
-    """Defaults by knob in every `| knob | default | … |` table, under the table's nearest heading."""
+def options_of(page: str) -> dict[str, dict[str, str]]:
+    """Defaults by option in every `| option | default | … |` table, under the table's nearest heading."""
     tables: dict[str, dict[str, str]] = {}
     heading = ""
     for line in (ROOT / page).read_text().splitlines():
@@ -211,27 +212,26 @@ def knobs_of(page: str) -> dict[str, dict[str, str]]:
     return tables
 
 
-def _default(parameter: inspect.Parameter) -> str:
-    value = parameter.default
+def _written(value: object) -> str:
     if isinstance(value, tuple):
         return ", ".join(f"{one:g}" for one in value)
     return repr(value).replace("'", '"')
 
 
 @pytest.mark.parametrize("name", [name for name in defenders.names() if name not in ("none", "ego_only", "oracle")])
-def test_knobs_of_defenders(name: str) -> None:
-    """docs/defenders.md names every knob, with the default of the code."""
-    told = knobs_of("docs/defenders.md")[f"## Knobs of `{name}`"]
-    parameters = inspect.signature(defenders.REGISTRY[name]).parameters
-    assert told == {knob: _default(parameter) for knob, parameter in parameters.items()}
+def test_options_of_defenders(name: str) -> None:
+    """docs/defenders.md names every option, with the default of the code."""
+    told = options_of("docs/defenders.md")[f"## Options of `{name}`"]
+    parameters = inspect.signature(defenders.DEFENDERS.factory(name)).parameters
+    assert told == {option: _written(parameter.default) for option, parameter in parameters.items()}
 
 
-def test_knobs_of_environments() -> None:
-    """Every knob of `parallel_env` is named on the page of its concept, and the defaults told there are true."""
-    parameters = inspect.signature(cp_env.parallel_env).parameters
+def test_options_of_environments() -> None:
+    """Every option of `parallel_env` is named on the page of its concept, with its true default."""
+    defaults = {"defender": "prbi", **DEFAULTS}
     for page in ("docs/environments.md", "docs/threat-model.md", "docs/perception.md"):
-        for knob, told in next(iter(knobs_of(page).values())).items():
-            assert told == ("none" if parameters[knob].default is None else _default(parameters[knob])), knob
+        for option, told in next(iter(options_of(page).values())).items():
+            assert told == ("none" if defaults[option] is None else _written(defaults[option])), option
     concepts = "".join(
         (ROOT / f"docs/{page}.md").read_text()
         for page in (
@@ -245,7 +245,7 @@ def test_knobs_of_environments() -> None:
             "scenes",
         )
     )
-    missing = [knob for knob in parameters if f"`{knob}" not in concepts]
+    missing = [option for option in defaults if f"`{option}" not in concepts]
     assert not missing
 
 

@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 import tomllib
+from fnmatch import fnmatchcase
 from pathlib import Path
 
 import pytest
@@ -30,14 +31,14 @@ def test_import_loads_no_torch(package: str) -> None:
 def test_importing_every_defender_loads_neither_torch_nor_the_world() -> None:
     code = """
 import importlib, pkgutil, sys, defenders
-for module in pkgutil.iter_modules(defenders.__path__):
-    importlib.import_module(f"defenders.{module.name}")
+for module in pkgutil.walk_packages(defenders.__path__, "defenders."):
+    importlib.import_module(module.name)
 print(sorted({"torch", "cp_env", "agents", "gymnasium"} & set(sys.modules)))
 """
     assert python(code) == "[]"
 
 
-def test_importing_cp_env_is_cheap_beside_gymnasium_and_pettingzoo() -> None:
+def test_importing_cp_env_is_cheap_next_to_gymnasium_and_pettingzoo() -> None:
     code = """
 import time, gymnasium, pettingzoo
 start = time.perf_counter()
@@ -48,13 +49,14 @@ print(time.perf_counter() - start)
     assert best <= 0.1, f"import cp_env adds {best:.3f} s"
 
 
-def test_every_package_on_disk_is_listed() -> None:
-    on_disk = {
-        ".".join(file.parent.relative_to(ROOT).parts)
-        for name in PACKAGES
-        for file in ROOT.glob(f"{name}/**/__init__.py")
-    }
-    assert on_disk == set(PROJECT["tool"]["setuptools"]["packages"])
+def test_every_folder_of_modules_is_packaged() -> None:
+    """What has modules has an `__init__`, and the patterns of `packages.find` take it along."""
+    patterns = PROJECT["tool"]["setuptools"]["packages"]["find"]["include"]
+    for name in PACKAGES:
+        for folder in {file.parent for file in (ROOT / name).rglob("*.py")}:
+            assert (folder / "__init__.py").is_file(), f"{folder.relative_to(ROOT)} has no __init__.py"
+            dotted = ".".join(folder.relative_to(ROOT).parts)
+            assert any(fnmatchcase(dotted, pattern) for pattern in patterns), dotted
 
 
 @pytest.mark.parametrize("package", PACKAGES)

@@ -11,16 +11,16 @@ from cp_env.types import SceneSource, View
 from cp_env.world.episode import ego_place, make_views
 
 
-def look(
+def ego_view(
     detector: Detector,
     source: SceneSource,
     name: str,
     frame: int,
     group: frozenset[int],
-    lies: dict[int, torch.Tensor],
+    perturbations: dict[int, torch.Tensor],
     budget: float,
 ) -> View:
-    """The ego's view of `group` when vehicle i sends f_E(C_i) + clip(lies[i]) (Eq. 1, L∞ ball)."""
+    """The ego's view of `group` when vehicle i sends f_E(C_i) + clip(perturbations[i]) (Eq. 1, L∞ ball)."""
     scene = source.load(name)
     sweeps = source.sweeps(scene, [frame])[0]
     origins = grid_origin(scene.pose[frame, scene.connected, :2])
@@ -29,7 +29,7 @@ def look(
     with torch.no_grad():
         for i in sorted(group):
             shared = detector.encode([sweeps[i]])[0].half().float()  # the channel carries half precision
-            shared = shared + lies.get(i, torch.zeros(1)).clamp(-budget, budget)
+            shared = shared + perturbations.get(i, torch.zeros(1)).clamp(-budget, budget)
             pose = torch.tensor([*(origins[i] - origins[0]), 0.0], dtype=torch.float32)
             covered = detector.coverage(pose[None])[0]
             total += detector.warp(shared[None], pose[None])[0] * covered

@@ -1,4 +1,4 @@
-"""Boiling the frog: a lie that grows slower than anyone looks."""
+"""A slow ramp: a perturbation that grows too slowly for a comparison of consecutive frames."""
 
 from __future__ import annotations
 
@@ -7,15 +7,22 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from agents.attacks.gradient import Ascent
-from agents.attacks.objectives.scene_target import Picture, crossings
-from agents.attacks.pgd import Steepest
-from agents.protocol import Attacker
+from agents.attacks.gradient import GradientAttack
+from agents.attacks.objectives.scene_target import SceneTarget, lattice_ghosts
+from agents.attacks.pgd import ProjectedGradient
+from agents.protocol import Attack
 
 
 @dataclass(frozen=True)
 class Ramp:
-    """An `Allowance`: the share of Δ is `first` in frame `onset`, and `rate` more with every frame, up to `ceiling`."""
+    """A `BudgetSchedule`: the share of Δ is `first` in frame `onset` and grows by `rate` a frame, up to `ceiling`.
+
+    Args:
+        rate: growth of the share a frame.
+        first: the share in frame `onset`.
+        onset: the first frame under attack.
+        ceiling: the largest share.
+    """
 
     rate: float
     first: float = 0.0
@@ -42,20 +49,31 @@ def ramp(
     spacing: float = 12.0,
     steps: int = 15,
     step_size: float = 0.1,
-) -> Attacker:
-    """Liars whose strength rises so slowly that each frame resembles the one before.
+) -> Attack:
+    """An attack whose strength rises so slowly that each frame resembles the one before.
 
-    Threat model: white-box on the detector; of the defence they know no more than that it compares a frame with the
-    last one (PRBI, bayes), neither ε nor its state. Each output becomes the next reference, so a lie that was let
-    through covers the next, somewhat larger one. Source: the "boiling frog" poisoning of anomaly detectors (Rubinstein
-    et al., "ANTIDOTE", 2009), which raises the chaff by a rate from week to week. What grows here is the share of Δ,
-    towards one picture: ghosts `spacing` m apart that stand still in the world
-    (`agents.attacks.objectives.scene_target`).
+    Threat model: white-box on the detector. Of the defence the attackers know only that it compares a frame with the
+    last one (PRBI, bayes), neither ε nor its state. Each output becomes the next reference, so a perturbation that
+    passed hides the next, somewhat larger one. Source: the "boiling frog" poisoning of anomaly detectors (Rubinstein et
+    al., "ANTIDOTE", 2009), which raises the chaff by a rate from week to week. What grows here is the share of Δ,
+    towards one scene: ghosts that stand still in the world (`agents.attacks.objectives.scene_target`).
+
+    Args:
+        rate: growth of the share of Δ a frame.
+        first: the share in frame `onset`.
+        onset: the first frame under attack.
+        ceiling: the largest share.
+        spacing: of the ghosts, m.
+        steps: of the ascent.
+        step_size: length of a step in the ball's norm.
+
+    Returns:
+        The attack.
     """
-    return Ascent(
-        Steepest(steps, step_size),
+    return GradientAttack(
+        ProjectedGradient(steps, step_size),
         random_start=False,
-        objective=Picture(crossings(spacing)),
-        audience="fused",
-        allowance=Ramp(rate, first, onset, ceiling),
+        objective=SceneTarget(lattice_ghosts(spacing)),
+        target_groups="fused",
+        budget_schedule=Ramp(rate, first, onset, ceiling),
     )

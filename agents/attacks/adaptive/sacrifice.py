@@ -1,4 +1,4 @@
-"""A coalition that gives one of its own away."""
+"""A coalition that sacrifices one of its attackers."""
 
 from __future__ import annotations
 
@@ -8,42 +8,50 @@ import torch
 from jaxtyping import Bool
 from torch import Tensor
 
-from agents.attacks.gradient import Ascent, Cells
-from agents.attacks.pgd import Steepest
-from agents.protocol import Attacker
+from agents.attacks.gradient import Cells, GradientAttack
+from agents.attacks.pgd import ProjectedGradient
+from agents.protocol import Attack
 from cp_env.world.situation import Situation
 
 
-def sacrifice(martyr: int = -1, steps: int = 15, step_size: float = 0.1, **knobs: Any) -> Attacker:
-    """One liar lies so loudly that it is convicted; the others are silent until then, and lie once all is settled.
+def sacrifice(sacrificed: int = -1, steps: int = 15, step_size: float = 0.1, **options: Any) -> Attack:
+    """One attacker perturbs until it is excluded; the others send no perturbation until then, and attack afterwards.
 
-    Threat model: white-box on the detector, and the liars see the ego's verdicts (whom it fuses, whether it has
-    converged). A defence that stops verifying when it has converged, as PRBI does, no longer looks when the others
+    Threat model: white-box on the detector. The attackers see the ego's verdicts (the vehicles it fuses, whether it has
+    converged). A defence that stops verifying when it has converged, as PRBI does, verifies no more when the others
     begin. Source: collusion with attackers of changing behaviour, against trust systems (Sun, Han, Liu, "Defense of
-    Trust Management Vulnerabilities in Distributed Networks", 2008). A defence that never converges, as ROBOSAC and
-    PASAC, which start anew with every frame, never hears from the silent ones. The loud one pauses once it is left out.
+    Trust Management Vulnerabilities in Distributed Networks", 2008). Against a defence that never converges, as ROBOSAC
+    and PASAC, which start anew with every frame, the others never begin. The sacrificed one pauses once it is left out.
 
-    martyr   which of the liars is given away, in ascending order of their numbers; the last by default
-    knobs    of `Ascent`
+    Args:
+        sacrificed: which of the attackers is sacrificed, in ascending order of their numbers; the last by default.
+        steps: of the ascent.
+        step_size: length of a step in the ball's norm.
+        options: of `GradientAttack`.
+
+    Returns:
+        The attack.
     """
-    return Ascent(Steepest(steps, step_size), audience="fused", where=speakers(martyr), **knobs)
+    return GradientAttack(
+        ProjectedGradient(steps, step_size), target_groups="fused", where=perturbing_cells(sacrificed), **options
+    )
 
 
-def speakers(martyr: int) -> Cells:
-    """All cells of those who may speak, none of the others': the martyr until it is left out for good, then all."""
+def perturbing_cells(sacrificed: int) -> Cells:
+    """All cells of the attackers that may perturb: the sacrificed one until it is excluded for good, then all."""
 
     def cells(situation: Situation) -> Bool[Tensor, "E k H W"]:
-        given = settled(situation, martyr)[:, None].repeat(1, situation.attackers.shape[1])
-        given[:, martyr] = True
+        given = sacrifice_excluded(situation, sacrificed)[:, None].repeat(1, situation.attackers.shape[1])
+        given[:, sacrificed] = True
         height, width = situation.received.shape[-2:]
         return given[:, :, None, None].expand(-1, -1, height, width)
 
     return cells
 
 
-def settled(situation: Situation, martyr: int) -> Bool[Tensor, " E"]:
-    """The worlds in which the defence has converged on a verdict that leaves the martyr out."""
-    liars = situation.attackers[:, martyr].tolist()
-    verdicts = zip(situation.verdict, liars, strict=True)
-    done = [v is not None and v.converged and liar not in v.collaborators for v, liar in verdicts]
+def sacrifice_excluded(situation: Situation, sacrificed: int) -> Bool[Tensor, " E"]:
+    """The worlds in which the defence has converged on a verdict that leaves the sacrificed attacker out."""
+    attackers = situation.attackers[:, sacrificed].tolist()
+    verdicts = zip(situation.verdict, attackers, strict=True)
+    done = [v is not None and v.converged and attacker not in v.collaborators for v, attacker in verdicts]
     return torch.tensor(done, device=situation.attackers.device)

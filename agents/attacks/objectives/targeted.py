@@ -1,4 +1,4 @@
-"""Objectives that name one car: remove this one, or plant one here. Places lie in the ego's grid frame, m.
+"""Targeted objectives: remove one car, or plant one. Places lie in the ego's grid frame, m.
 
 Our choice, as the paper's attack is untargeted. Both speak of `Dense` alone, whatever detector made it; logits stop
 counting `MARGIN` beyond the middle, as in `adversarial_loss`.
@@ -14,7 +14,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from agents.attacks.targets import Score, Views
+from agents.attacks.targets import AttackTargets, ViewLoss
 from cp_env.detector.model.decoder import Dense, cell_centres
 from cp_env.perturbation.objective import MARGIN, REACH
 from cp_env.world.situation import Situation
@@ -32,48 +32,57 @@ APART = 6.0
 
 @dataclass(frozen=True, eq=False)
 class Remove:
-    """Conceal the car at `at`: minus the log-sum-exp of the logits around it, for one cell is enough to report it.
+    """Conceal the car at `at`: minus the log-sum-exp of the logits around it, since one cell is enough to report it.
 
-    `keep` weighs what changes elsewhere, Σ (p' − p)² over the other cells, against it: 0 does not care, more leaves
-    the rest of the view, and so its similarity to the last, as it was.
+    Args:
+        at: the place of the car.
+        keep: weight of the change elsewhere, Σ (p' − p)² over the other cells. 0 ignores it; a larger weight leaves the
+            rest of the view, and so its similarity to the last output, as it was.
     """
 
     at: Place
     keep: float = 0.0
 
-    def __call__(self, views: Views) -> Score:
-        near = _distance(views, self.at(views.situation)[views.rows]) <= TARGET  # NaN is near to nothing
-        there, change = near.any(-1).any(-1), _elsewhere(views, self.at, self.keep)
+    def __call__(self, targets: AttackTargets) -> ViewLoss:
+        near = _distance(targets, self.at(targets.situation)[targets.rows]) <= TARGET  # NaN is near to nothing
+        there, change = near.any(-1).any(-1), _elsewhere(targets, self.at, self.keep)
 
-        def score(dense: Dense) -> Float[Tensor, " B"]:
+        def view_loss(dense: Dense) -> Float[Tensor, " B"]:
             left = dense.logits.masked_fill(~near, torch.finfo(dense.logits.dtype).min / 2).flatten(1).logsumexp(1)
             return torch.where(there, (-left).clamp(max=MARGIN), 0.0) - change(dense)
 
-        return score
+        return view_loss
 
 
 @dataclass(frozen=True, eq=False)
 class Plant:
-    """Make the ego see a car in the box `at`: the logit of the cell that holds its centre rises, and the box which that
-    cell reports goes there (L1 of the regression, up to `REACH`). `keep` as for `Remove`."""
+    """Make the ego see a car in the box `at`.
+
+    The logit of the cell that holds its centre rises, and the box that this cell reports goes there (L1 of the
+    regression, up to `REACH`).
+
+    Args:
+        at: the box of the car.
+        keep: as for `Remove`.
+    """
 
     at: Place
     keep: float = 0.0
 
-    def __call__(self, views: Views) -> Score:
-        box = self.at(views.situation)[views.rows]
-        rows, (row, column) = torch.arange(len(box), device=box.device), _cell(views, box)
-        code, change = _code(views, box, row, column), _elsewhere(views, self.at, self.keep)
+    def __call__(self, targets: AttackTargets) -> ViewLoss:
+        box = self.at(targets.situation)[targets.rows]
+        rows, (row, column) = torch.arange(len(box), device=box.device), _cell(targets, box)
+        code, change = _code(targets, box, row, column), _elsewhere(targets, self.at, self.keep)
 
-        def score(dense: Dense) -> Float[Tensor, " B"]:
+        def view_loss(dense: Dense) -> Float[Tensor, " B"]:
             logit, said = dense.logits[rows, row, column], dense.boxes[rows, :, row, column]
             return logit.clamp(max=MARGIN) - (said - code).abs().clamp(max=REACH).mean(1) - change(dense)
 
-        return score
+        return view_loss
 
 
 def remove(*numbers: float) -> Remove:
-    """The clean view's detection of that number, 0 the surest (the default), or the car at (x, y)."""
+    """The clean view's detection of that number, 0 the one of highest score (the default), or the car at (x, y)."""
     if len(numbers) > 2:
         raise TypeError(f"remove takes a detection's number or x and y, got {numbers}")
     return Remove(spot(numbers) if len(numbers) == 2 else detection(int(numbers[0]) if numbers else 0))
@@ -94,7 +103,7 @@ def detection(index: int | Sequence[int]) -> Place:
     """The box of the clean view's detection of that number, best first: one number for all worlds, or one for each."""
 
     def place(situation: Situation) -> Float[Tensor, "E 5"]:
-        found = situation.eyes().detect(situation.clean)
+        found = situation.ego_detector().detect(situation.clean)
         boxes = np.full((len(found), 5), np.nan, dtype=np.float32)
         for e, (number, seen) in enumerate(zip(np.broadcast_to(index, len(found)), found, strict=True)):
             if 0 <= number < len(seen.boxes):
@@ -104,33 +113,33 @@ def detection(index: int | Sequence[int]) -> Place:
     return place
 
 
-def _distance(views: Views, place: Float[Tensor, "B n"]) -> Float[Tensor, "B h w"]:
-    """From each cell's centre to the place, m."""
-    centre = cell_centres(views.clean.logits.shape[-1], views.situation.detector.extent, place)
+def _distance(targets: AttackTargets, place: Float[Tensor, "B n"]) -> Float[Tensor, "B h w"]:
+    """The distance of each cell's centre to the place, m."""
+    centre = cell_centres(targets.clean.logits.shape[-1], targets.situation.detector.extent, place)
     return torch.hypot(centre - place[:, 0, None, None], centre[:, None] - place[:, 1, None, None])
 
 
-def _elsewhere(views: Views, at: Place, keep: float) -> Score:
+def _elsewhere(targets: AttackTargets, at: Place, keep: float) -> ViewLoss:
     """`keep` times the change of the probabilities away from the place."""
     if keep == 0:
         return lambda dense: dense.logits.new_zeros(len(dense.logits))
-    far = (_distance(views, at(views.situation)[views.rows]) > APART).float()
-    before = views.clean.scores
+    far = (_distance(targets, at(targets.situation)[targets.rows]) > APART).float()
+    before = targets.clean.scores
     return lambda dense: keep * (far * (dense.scores - before).square()).sum((-2, -1))
 
 
-def _cell(views: Views, box: Float[Tensor, "B 5"]) -> tuple[Tensor, Tensor]:
+def _cell(targets: AttackTargets, box: Float[Tensor, "B 5"]) -> tuple[Tensor, Tensor]:
     """Row and column of the cell that holds the centre."""
-    size, extent = views.clean.logits.shape[-1], views.situation.detector.extent
+    size, extent = targets.clean.logits.shape[-1], targets.situation.detector.extent
     if not bool((box[:, :2].abs() < extent).all()):
         raise ValueError(f"a car is planted within {extent} m of the ego's grid centre, not at {box[:, :2].tolist()}")
     column, row = ((box[:, :2] + extent) * (size / (2 * extent))).long().clamp(max=size - 1).unbind(1)
     return row, column
 
 
-def _code(views: Views, box: Float[Tensor, "B 5"], row: Tensor, column: Tensor) -> Float[Tensor, "B 6"]:
-    """What the decoder would say of the box in that cell: see `Dense`."""
-    centre = cell_centres(views.clean.logits.shape[-1], views.situation.detector.extent, box)
+def _code(targets: AttackTargets, box: Float[Tensor, "B 5"], row: Tensor, column: Tensor) -> Float[Tensor, "B 6"]:
+    """The code of the box in that cell, as the decoder would give it: see `Dense`."""
+    centre = cell_centres(targets.clean.logits.shape[-1], targets.situation.detector.extent, box)
     x, y, length, width, yaw = box.unbind(1)
     parts = [x - centre[column], y - centre[row], length.log(), width.log(), (2 * yaw).sin(), (2 * yaw).cos()]
     return torch.stack(parts, 1)

@@ -1,4 +1,4 @@
-"""What the liars of one frame want: to hide, to spoof, both, or one chosen car."""
+"""Untargeted objectives of an attack: hide, spoof or both; and all objectives by name."""
 
 from __future__ import annotations
 
@@ -8,31 +8,49 @@ from functools import partial
 
 from agents.attacks.objectives.targeted import plant, remove
 from agents.attacks.spec import named
-from agents.attacks.targets import Goal, Score, Views
+from agents.attacks.targets import AttackTargets, Objective, ViewLoss
 from cp_env.perturbation.objective import distance_from
 
 
 @dataclass(frozen=True)
-class Objective:
-    """Untargeted: weights of the three parts of `adversarial_loss`, PRBI Eq. (2): conceal, invent, displace."""
+class UntargetedObjective:
+    """Weights of the three parts of `adversarial_loss`, PRBI Eq. (2).
+
+    Args:
+        hide: conceal what is there.
+        spoof: invent what is not.
+        drift: displace boxes.
+    """
 
     hide: float = 1.0
     spoof: float = 1.0
     drift: float = 1.0
 
-    def __call__(self, views: Views) -> Score:
-        return distance_from(views.clean, hide=self.hide, spoof=self.spoof, drift=self.drift)
+    def __call__(self, targets: AttackTargets) -> ViewLoss:
+        return distance_from(targets.clean, hide=self.hide, spoof=self.spoof, drift=self.drift)
 
 
-OBJECTIVES: dict[str, Callable[..., Goal]] = {
-    "both": Objective,
-    "hide": partial(Objective, 1.0, 0.0, 0.0),
-    "spoof": partial(Objective, 0.0, 1.0, 0.0),
+OBJECTIVES: dict[str, Callable[..., Objective]] = {
+    "both": UntargetedObjective,
+    "hide": partial(UntargetedObjective, 1.0, 0.0, 0.0),
+    "spoof": partial(UntargetedObjective, 0.0, 1.0, 0.0),
     "remove": remove,
     "plant": plant,
 }
 
 
-def make_objective(objective: str | Goal) -> Goal:
-    """`both`, `hide`, `spoof`, `remove@3`, `remove@12.5:-3`, `plant@10:4:0.5`; or itself."""
+def make_objective(objective: str | Objective) -> Objective:
+    """An objective by name, or the function itself.
+
+    Args:
+        objective: `both`, `hide`, `spoof`, `remove@3`, `remove@12.5:-3`, `plant@10:4:0.5` (see
+        `agents.attacks.objectives.targeted`), or
+            an objective.
+
+    Returns:
+        The objective.
+
+    Raises:
+        ValueError: an unknown name, or numbers that it does not take.
+    """
     return named("objective", objective, OBJECTIVES) if isinstance(objective, str) else objective

@@ -27,7 +27,7 @@ CHUNK = 4
 """Sweeps or views computed together: the widest layer takes 17 MB of each."""
 
 REMEMBERED = 16
-"""Frames whose `Skips` are kept, 16 MB each: a frame is looked at many times."""
+"""Frames whose `Skips` are kept, 16 MB each: a frame is perceived many times."""
 
 CANDIDATES = 4096
 MOST_BOXES = 200
@@ -44,8 +44,9 @@ The geometry is the same; the second samples twice and loses what the turn carri
 class CoperceptionDetector(nn.Module):
     """The frozen network of a checkpoint. See `load_checkpoint`.
 
-    A view is decoded with layers of the ego's own sweep that are never sent, nor can be attacked: `keep` packs what the
-    ego keeps of a sweep, and `beside(kept)` is this detector at the side of those egos, which can `perceive`.
+    A view is decoded with layers of the ego's own sweep that are never sent, nor can be attacked: `ego_context`
+    packs what the ego keeps of a sweep, and `with_ego_context(ego_context)` is this detector bound to those egos, which
+    can `perceive`.
     """
 
     channels = CHANNELS
@@ -68,7 +69,7 @@ class CoperceptionDetector(nn.Module):
         self.fuser = fusion.make(fusion_name, weights, rounds, RESAMPLING[resampling])
         self.decoder = Decoder(weights, "stpn" if single else "decoder")
         self.heads = Heads(weights)
-        self._kept: UInt8[Tensor, "E 13 256 32"] | None = None
+        self._ego_context: UInt8[Tensor, "E 13 256 32"] | None = None
         self._skips: OrderedDict[tuple[str, bytes], Skips] = OrderedDict()
         self.eval().requires_grad_(False)
 
@@ -84,14 +85,14 @@ class CoperceptionDetector(nn.Module):
         parts = [self.encoder.shared(part.to(self._weight)) for part in occupancy.split(CHUNK)]
         return torch.cat(parts).flip(-1) if parts else self._weight.new_zeros((0, CHANNELS, self.size, self.size))
 
-    def keep(self, sweeps: Sequence[Sweep]) -> UInt8[Tensor, "B 13 256 32"]:
-        """What an ego keeps of its sweep: the voxels, eight to a byte."""
+    def ego_context(self, sweeps: Sequence[Sweep]) -> UInt8[Tensor, "B 13 256 32"]:
+        """The ego context of each sweep: its voxels, eight to a byte."""
         return grid.pack(grid.rasterise(sweeps))
 
-    def beside(self, kept: UInt8[Tensor, "E 13 256 32"]) -> CoperceptionDetector:
-        """This detector (the same weights) for the egos of E worlds, who kept these sweeps."""
+    def with_ego_context(self, ego_context: UInt8[Tensor, "E 13 256 32"]) -> CoperceptionDetector:
+        """This detector (the same weights) bound to the ego context of E worlds."""
         bound = copy.copy(self)
-        bound._kept, bound._skips = kept, self._skips
+        bound._ego_context, bound._skips = ego_context, self._skips
         return bound
 
     def warp(self, maps: Float[Tensor, "*n C H W"], ego_T_sender: Float[Tensor, "*n 3"]) -> Float[Tensor, "*n C H W"]:
@@ -163,16 +164,16 @@ class CoperceptionDetector(nn.Module):
 
     def _skip(self, world: int) -> Skips:
         """The ego's own part of its decoder's sums, made once a frame."""
-        if self._kept is None:
+        if self._ego_context is None:
             raise ValueError(
-                "this detector decodes with layers of the ego's own sweep: perceive with detector.beside(kept), where "
-                "kept = detector.keep(sweeps) of the egos"
+                "this detector decodes with layers of the ego's own sweep: perceive with "
+                "detector.with_ego_context(ego_context), where ego_context = detector.ego_context(sweeps) of the egos"
             )
         device = self.device
-        key = str(device), self._kept[world].cpu().numpy().tobytes()
+        key = str(device), self._ego_context[world].cpu().numpy().tobytes()
         if key not in self._skips:
             with torch.inference_mode(False), torch.no_grad():  # an attack may differentiate through what meets it
-                voxels = grid.unpack(self._kept[world].to(device, copy=True))[None]
+                voxels = grid.unpack(self._ego_context[world].to(device, copy=True))[None]
                 self._skips[key] = self.decoder.skips(self.encoder(voxels.to(self._weight)))
         self._skips.move_to_end(key)
         while len(self._skips) > REMEMBERED:
@@ -205,7 +206,7 @@ def load_checkpoint(
 
     Args:
         path: a file that coperception saved: a dictionary with `model_state_dict`. Nothing in it is run.
-        fusion: "mean", "max", "sum" (which look alike in a checkpoint), "v2vnet" or "disconet".
+        fusion: "mean", "max", "sum" (which are the same in a checkpoint), "v2vnet" or "disconet".
         rounds: V2VNet's rounds of messages. Versions of its code that begin every round anew do what one round does.
         resampling: "affine" or "rotate-translate": how its code warps (see `RESAMPLING`).
         device: where the detector runs, as torch spells it.

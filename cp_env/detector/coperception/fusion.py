@@ -50,14 +50,17 @@ class Elementwise(Fusion):
 
 
 def mean(maps: Maps) -> Map:
+    """The mean of the maps, cell by cell."""
     return maps.mean(0)
 
 
 def largest(maps: Maps) -> Map:
+    """The largest of the maps, cell by cell."""
     return maps.max(0).values
 
 
 def total(maps: Maps) -> Map:
+    """The sum of the maps, cell by cell."""
     return maps.sum(0)
 
 

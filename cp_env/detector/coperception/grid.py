@@ -1,8 +1,8 @@
 """What coperception's detector reads: voxels of 0.25 x 0.25 x 0.4 m, ±32 m around the sensor, 13 of them in height.
 
 Convention: `grid[..., z, row, col]`; row grows with y, **col falls with x** (coperception turns its voxels so), cell
-(0, 0) is the south-east corner. Heights count from the sensor. A vehicle's sensor looks at -3 to 2 m; one that stands
-higher than any vehicle's is a road-side unit's and looks at -8 to -3 m, as in V2X-Sim.
+(0, 0) is the south-east corner. Heights count from the sensor. A vehicle's voxels span -3 to 2 m; one that stands
+higher than any vehicle's is a road-side unit's: -8 to -3 m, as in V2X-Sim.
 """
 
 from __future__ import annotations

@@ -86,7 +86,7 @@ def boxes_of(
 def reduce(
     logits: Float[Tensor, "B 6 256 256"], codes: Float[Tensor, "B 6 6 256 256"]
 ) -> tuple[Float[Tensor, "B 64 64"], Float[Tensor, "B 6 64 64"]]:
-    """`Dense`'s two maps: of each cell of 1 m the best anchor, its box told from the cell's centre; our layout."""
+    """`Dense`'s two maps: of each cell of 1 m the best anchor, its box relative to the cell's centre; our layout."""
     tiles = functional.pixel_unshuffle(logits, BLOCK)  # B, anchor · 16 + cell of the block, 64, 64
     best, place = tiles.max(dim=1)
     rows = torch.arange(MAP_SIZE, device=logits.device)

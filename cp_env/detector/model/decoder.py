@@ -20,7 +20,7 @@ class Dense:
     """What the decoder says of every cell of 1 m, in the ego's grid frame.
 
     boxes: dx, dy (m, from the cell's centre to the vehicle's), log length, log width (m), sin 2yaw, cos 2yaw: seen from
-    above a box does not tell its front from its back.
+    above, front and back of a box cannot be told apart.
     """
 
     logits: Float[Tensor, "B h w"]

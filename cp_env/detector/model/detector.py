@@ -60,6 +60,15 @@ class Detector(BaseDetector):
         fused: Tensor = self.fuser(received, coverage, world, groups)
         return fused
 
+    def linear_weights(
+        self, coverage: Float[Tensor, "E N H W"], world: Int[Tensor, " B"], groups: Bool[Tensor, "B N"]
+    ) -> Float[Tensor, "B N H W"] | None:
+        """The mean's weights: 1 over the members that cover the cell. None for the other fusions."""
+        if self.fusion != "mean":
+            return None
+        members = coverage[world] * groups[..., None, None]
+        return members / members.sum(1, keepdim=True).clamp(min=1)
+
     def decode(self, fused: Float[Tensor, "B C H W"]) -> Dense:
         """Scores and boxes for every cell of 1 m."""
         dense: Dense = self.decoder(fused)

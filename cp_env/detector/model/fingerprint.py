@@ -1,4 +1,4 @@
-"""What every detector does alike: tell its weights apart, and refuse a group of nobody."""
+"""What all detectors share: a fingerprint of the weights, and the refusal of empty groups."""
 
 from __future__ import annotations
 

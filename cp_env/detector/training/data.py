@@ -30,7 +30,7 @@ RETURNS_SEEN = 3
 
 
 @dataclass(frozen=True, eq=False)
-class Footage:
+class RasterisedScene:
     """The recorded grids of one scene; agents are its connected vehicles in order, then its road-side unit."""
 
     packed: UInt8[np.ndarray, "F A Z R P"]  # occupancy, eight cells a byte; a memory map
@@ -53,7 +53,7 @@ class Batch:
     """
 
     occupancy: UInt8[Tensor, "S Z R R"]
-    maps: Float[Tensor, "S C H W"] | None  # of the same sweeps, where the footage has them
+    maps: Float[Tensor, "S C H W"] | None  # of the same sweeps, where the scenes have them
     agent: Int[Tensor, "E N"]
     ego_T_sender: Float[Tensor, "E N 3"]
     world: Int[Tensor, " B"]
@@ -73,23 +73,23 @@ class Batch:
         )
 
 
-def prepare(source: SceneSource, cache: Path, *, stride: int = 2, limit: int | None = None) -> list[Footage]:
-    """The footage of every scene of a source (every `stride`-th frame), from the cache where it is there."""
+def prepare(source: SceneSource, cache: Path, *, stride: int = 2, limit: int | None = None) -> list[RasterisedScene]:
+    """The rasterised scenes of a source (every `stride`-th frame), from the cache where it holds them."""
     key = hashlib.sha256(f"{source.digest} {bev.BEV} {LATTICE} {stride}".encode()).hexdigest()[:16]
     folder = cache / key
     folder.mkdir(parents=True, exist_ok=True)
     names = source.names()[:limit]
     return [
-        _footage(source, name, folder, stride) for name in tqdm(names, desc=f"sweeps of {source.name}", unit="scene")
+        _rasterised(source, name, folder, stride) for name in tqdm(names, desc=f"sweeps of {source.name}", unit="scene")
     ]
 
 
-def _footage(source: SceneSource, name: str, folder: Path, stride: int) -> Footage:
+def _rasterised(source: SceneSource, name: str, folder: Path, stride: int) -> RasterisedScene:
     grids, rest = folder / f"{name}.npy", folder / f"{name}.npz"
     if not rest.exists():
         _record(source, source.load(name), grids, rest, stride)
     with np.load(rest, allow_pickle=False) as arrays:
-        return Footage(np.load(grids, mmap_mode="r"), **{key: arrays[key] for key in arrays.files})
+        return RasterisedScene(np.load(grids, mmap_mode="r"), **{key: arrays[key] for key in arrays.files})
 
 
 def _record(source: SceneSource, scene: Scene, grids: Path, rest: Path, stride: int) -> None:
@@ -118,22 +118,22 @@ def _record(source: SceneSource, scene: Scene, grids: Path, rest: Path, stride: 
 
 
 @torch.no_grad()
-def encode(footage: Sequence[Footage], detector: Detector, folder: Path) -> list[Footage]:
-    """The footage with the maps that the detector's encoder makes of it, half precision, from `folder` where they are.
+def encode(scenes: Sequence[RasterisedScene], detector: Detector, folder: Path) -> list[RasterisedScene]:
+    """The scenes with the maps that the detector's encoder makes of them, half precision, cached in `folder`.
 
-    The name of the folder must tell encoders and footage apart. The detector is put into evaluation mode.
+    The name of the folder must differ between encoders and between scenes. The detector is put into evaluation mode.
     """
     folder.mkdir(parents=True, exist_ok=True)
     detector.eval()
     return [
-        replace(film, maps=_encoded(film, detector, folder / f"{number:03d}.npy"))
-        for number, film in enumerate(tqdm(footage, desc="maps", unit="scene"))
+        replace(rasterised, maps=_encoded(rasterised, detector, folder / f"{number:03d}.npy"))
+        for number, rasterised in enumerate(tqdm(scenes, desc="maps", unit="scene"))
     ]
 
 
-def _encoded(film: Footage, detector: Detector, path: Path) -> Float[np.ndarray, "F A C H W"]:
+def _encoded(rasterised: RasterisedScene, detector: Detector, path: Path) -> Float[np.ndarray, "F A C H W"]:
     if not path.exists():
-        maps = [detector.encode_grids(bev.unpack(frame)).half().cpu().numpy() for frame in film.packed]
+        maps = [detector.encode_grids(bev.unpack(frame)).half().cpu().numpy() for frame in rasterised.packed]
         partial = path.with_suffix(".part.npy")
         np.save(partial, np.stack(maps))
         partial.rename(path)
@@ -142,7 +142,7 @@ def _encoded(film: Footage, detector: Detector, path: Path) -> Float[np.ndarray,
 
 
 def draw(
-    footage: Sequence[Footage],
+    scenes: Sequence[RasterisedScene],
     rng: np.random.Generator,
     *,
     frames: int,
@@ -155,7 +155,7 @@ def draw(
     """A random batch of `frames` frames, at most `agents` agents in each, `egos` of them the centre of `views` groups.
 
     The first group is everyone; the others have a random size and random members, one of them never the ego. A frame is
-    turned or mirrored at random, exactly: sensor grids, positions and boxes together. Footage that comes with maps is
+    turned or mirrored at random, exactly: sensor grids, positions and boxes together. A scene that comes with maps is
     left as it is, for an encoder's map of a mirrored grid is not the mirrored map.
     """
     occupancy: list[Tensor] = []
@@ -165,21 +165,21 @@ def draw(
     groups: list[Bool[np.ndarray, "B N"]] = []
     wanted: list[Targets] = []
     for _ in range(frames):
-        film = footage[int(rng.integers(len(footage)))]
-        frame = int(rng.integers(film.n_frames))
-        present = _cast(film, rng, agents)
+        rasterised = scenes[int(rng.integers(len(scenes)))]
+        frame = int(rng.integers(rasterised.n_frames))
+        present = _select(rasterised, rng, agents)
         first, spare = sum(len(grids) for grids in occupancy), agents - len(present)
-        mirror = (rng.random(3) < 0.5) & (film.maps is None)
-        occupancy.append(_mirror_grids(bev.unpack(film.packed[frame, present]), mirror))
-        if film.maps is not None:
-            maps.append(torch.from_numpy(film.maps[frame, present]).float())
-        vehicles = np.flatnonzero(present < len(film.connected))
+        mirror = (rng.random(3) < 0.5) & (rasterised.maps is None)
+        occupancy.append(_mirror_grids(bev.unpack(rasterised.packed[frame, present]), mirror))
+        if rasterised.maps is not None:
+            maps.append(torch.from_numpy(rasterised.maps[frame, present]).float())
+        vehicles = np.flatnonzero(present < len(rasterised.connected))
         for ego in rng.permutation(vehicles)[:egos].tolist():
             members = _groups(rng, len(present), ego, views)
-            boxes, visible = _truth(film, frame, present, ego, members, extent)
+            boxes, visible = _truth(rasterised, frame, present, ego, members, extent)
             boxes = _mirror_boxes(boxes, mirror)
             wanted.append(targets(torch.from_numpy(boxes), torch.from_numpy(visible), size, extent))
-            offset = film.origin[frame, present] - film.origin[frame, present[ego]]
+            offset = rasterised.origin[frame, present] - rasterised.origin[frame, present[ego]]
             order = np.argsort(np.arange(len(present)) != ego, kind="stable")  # the ego first
             poses.append(np.pad(_mirror_points(offset[order], mirror), ((0, spare), (0, 1))))
             agent.append(np.pad(first + order, (0, spare), constant_values=first))
@@ -195,10 +195,10 @@ def draw(
     )
 
 
-def _cast(film: Footage, rng: np.random.Generator, agents: int) -> Int[np.ndarray, " A"]:
+def _select(rasterised: RasterisedScene, rng: np.random.Generator, agents: int) -> Int[np.ndarray, " A"]:
     """Which agents take part: at least one connected vehicle, at most `agents` in all; the road-side unit at times."""
-    vehicles = rng.permutation(len(film.connected))
-    others = np.arange(len(film.connected), film.packed.shape[1])
+    vehicles = rng.permutation(len(rasterised.connected))
+    others = np.arange(len(rasterised.connected), rasterised.packed.shape[1])
     if len(others) and rng.random() < 0.3:
         return np.concatenate([vehicles[: agents - 1], others[:1]])
     return vehicles[:agents]
@@ -215,13 +215,18 @@ def _groups(rng: np.random.Generator, n: int, ego: int, views: int) -> Bool[np.n
 
 
 def _truth(
-    film: Footage, frame: int, present: Int[np.ndarray, " A"], ego: int, groups: Bool[np.ndarray, "B N"], extent: float
+    rasterised: RasterisedScene,
+    frame: int,
+    present: Int[np.ndarray, " A"],
+    ego: int,
+    groups: Bool[np.ndarray, "B N"],
+    extent: float,
 ) -> tuple[Float[np.ndarray, "L 5"], Bool[np.ndarray, "B L"]]:
     """All boxes near the ego (its own among them) in its grid frame, and which of them each group sees."""
-    boxes = film.boxes[frame].copy()
-    boxes[:, :2] -= film.origin[frame, present[ego]]
+    boxes = rasterised.boxes[frame].copy()
+    boxes[:, :2] -= rasterised.origin[frame, present[ego]]
     rows = np.flatnonzero((np.abs(boxes[:, :2]) < extent + 2).all(axis=1))
-    returns = groups.astype(np.int64) @ film.hits[frame][present][:, rows]
+    returns = groups.astype(np.int64) @ rasterised.hits[frame][present][:, rows]
     return boxes[rows].astype(np.float32), returns >= RETURNS_SEEN
 
 

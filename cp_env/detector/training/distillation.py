@@ -1,9 +1,9 @@
 """A teacher that fuses points, and what a student learns of it: DiscoNet's training (Li et al., NeurIPS 2021).
 
 The teacher sees what early fusion would show: the returns of all members of a group in one grid of the ego's, encoded
-and decoded as a single vehicle's would be. The student fuses maps; beside the detection loss, it is drawn towards the
-teacher's features: in every cell the Kullback-Leibler divergence of the softmax over channels, of the fused map and of
-the decoder's features. The teacher is needed for training alone and does not ship.
+and decoded as a single vehicle's would be. The student fuses maps. Its loss is the detection loss
+and the distance to the teacher's features: in every cell the Kullback-Leibler divergence of the softmax over channels,
+of the fused map and of the decoder's features. The teacher is needed for training alone and does not ship.
 """
 
 from __future__ import annotations

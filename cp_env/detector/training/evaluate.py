@@ -1,4 +1,4 @@
-"""How well a detector sees, nobody lying: `python -m cp_env.detector.training.evaluate --scenes town/test`.
+"""Accuracy of a detector without an attack: `python -m cp_env.detector.training.evaluate --scenes town/test`.
 
 AP of the first vehicles of every scene, fused in groups of growing size around the ego, vehicle 0 (strict, unless
 `--protocol` says otherwise); the Jaccard similarity of consecutive frames, the ego's motion taken out; and how large
@@ -39,7 +39,7 @@ _NO_MAP = np.zeros((0, 0), dtype=np.float32)
 
 @dataclass(frozen=True)
 class Args:
-    """What is measured."""
+    """Options of a measurement."""
 
     scenes: str = "town/test"
     weights: Path | None = None  # a file; by default the weights that ship
@@ -82,7 +82,7 @@ class Report:
     high: float  # their 99th percentile
 
 
-def watch(detector: Detector, source: SceneSource, args: Args) -> Iterator[Seen]:
+def perceive_scenes(detector: Detector, source: SceneSource, args: Args) -> Iterator[Seen]:
     """Every frame of every scene, in order."""
     names = source.names()[: args.limit]
     for name in tqdm(names, desc=f"evaluating {source.name}", unit="scene"):
@@ -95,11 +95,11 @@ def watch(detector: Detector, source: SceneSource, args: Args) -> Iterator[Seen]
         for start in range(0, len(frames), CHUNK):
             part = frames[start : start + CHUNK]
             for frame, sweeps in zip(part, source.sweeps(scene, part), strict=True):
-                yield look(detector, scene, frame, sweeps[: args.n_vehicles])
+                yield perceive_frame(detector, scene, frame, sweeps[: args.n_vehicles])
 
 
 @torch.no_grad()
-def look(detector: Detector, scene: Scene, frame: int, sweeps: Sequence[Sweep]) -> Seen:
+def perceive_frame(detector: Detector, scene: Scene, frame: int, sweeps: Sequence[Sweep]) -> Seen:
     """One frame through the whole detector; the first sweep is the ego's."""
     n = len(sweeps)
     maps = detector.encode(sweeps)
@@ -175,16 +175,16 @@ def calibrate(seen: Sequence[Seen]) -> float:
     """The operating threshold of largest F1 x Jaccard of consecutive frames: boxes that are right, and stay."""
     full = meters(seen)[-1]
 
-    def worth(threshold: float) -> float:
+    def utility(threshold: float) -> float:
         precision, recall = precision_recall(full, threshold)
         return 2 * precision * recall / max(precision + recall, 1e-9) * jaccard(seen, threshold)
 
-    return float(max(GRID, key=worth))
+    return float(max(GRID, key=utility))
 
 
 def table(result: Report) -> Table:
     """The figures for the screen."""
-    grid = Table(title=f"nobody lying, {result.n_frames} frames, {result.protocol} AP")
+    grid = Table(title=f"no attack, {result.n_frames} frames, {result.protocol} AP")
     grid.add_column("vehicles fused")
     grid.add_column("AP@0.5")
     grid.add_column("AP@0.7")
@@ -210,7 +210,7 @@ def main(args: Args) -> None:
         detector = load_detector(device=args.device)
     else:
         detector = read_detector(args.weights).to(args.device).freeze()
-    seen = list(watch(detector, source, args))
+    seen = list(perceive_scenes(detector, source, args))
     threshold = detector.threshold
     if args.calibrate:
         if args.weights is None:

@@ -1,7 +1,7 @@
 """L_det: how far the decoder's output lies from the truth, as penalty-reduced focal loss and L1 of the boxes.
 
 This is the detection loss that trains f_E and f_D, the L_det of PRBI Eq. (2), built as in Zhou et al., "Objects as
-Points", Eqs. (1) and (2). What liars maximise is `adversarial.adversarial_loss`.
+Points", Eqs. (1) and (2). What attackers maximise is `adversarial.adversarial_loss`.
 """
 
 from __future__ import annotations

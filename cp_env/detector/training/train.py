@@ -36,7 +36,7 @@ from tqdm import trange
 
 from cp_env.detector.model.detector import Detector
 from cp_env.detector.model.weights import read_detector, save_detector
-from cp_env.detector.training.data import Batch, Footage, draw, encode, prepare
+from cp_env.detector.training.data import Batch, RasterisedScene, draw, encode, prepare
 from cp_env.detector.training.distillation import divergence, early_fusion, features, teach
 from cp_env.detector.training.loss import detection_loss
 from cp_env.scenes import open_source
@@ -126,7 +126,7 @@ def begin(args: Args) -> Detector:
         return detector
 
 
-def train(args: Args, footage: list[Footage]) -> Detector:
+def train(args: Args, scenes: list[RasterisedScene]) -> Detector:
     """Train, or go on training, until `args.steps`; checkpoints in `args.out`."""
     torch.set_num_threads(args.threads)
     detector = begin(args).to(args.device)
@@ -140,7 +140,7 @@ def train(args: Args, footage: list[Footage]) -> Detector:
     smooth = 0.0
     for step in (bar := trange(first, args.steps, initial=first, total=args.steps, desc="training", mininterval=5)):
         batch = draw(
-            footage,
+            scenes,
             np.random.default_rng([args.seed, step]),
             frames=args.frames,
             egos=args.egos,
@@ -186,17 +186,17 @@ def _resume(path: Path, detector: Detector, optimizer: torch.optim.Optimizer) ->
     return int(state["step"])
 
 
-def load(args: Args, source: SceneSource) -> list[Footage]:
-    """The footage, with the maps of the encoder if it stays as it is."""
+def load(args: Args, source: SceneSource) -> list[RasterisedScene]:
+    """The rasterised scenes, with the maps of the encoder if it is not trained."""
     import platformdirs
 
     cache = args.cache or Path(platformdirs.user_cache_dir("cp_env")) / "training"
-    footage = prepare(source, cache, stride=args.stride)
+    scenes = prepare(source, cache, stride=args.stride)
     if args.encoder is None:
-        return footage
+        return scenes
     detector = read_detector(args.encoder).to(args.device)
     key = hashlib.sha256(f"{source.digest} {args.stride} {detector.maps_digest}".encode()).hexdigest()[:16]
-    return encode(footage, detector, cache / f"maps-{key}")
+    return encode(scenes, detector, cache / f"maps-{key}")
 
 
 def main(args: Args) -> None:

@@ -13,13 +13,13 @@ from cp_env.world.situation import Situation
 
 
 class ActionMap(ABC):
-    """One slot's action space, and the way from all slots' actions to all perturbations."""
+    """The action space of a slot, and the map from all slots' actions to perturbations."""
 
     def __init__(self, shape: tuple[int, ...]) -> None:
         self.space = gymnasium.spaces.Box(-1.0, 1.0, shape, np.float32)
 
     def reset(self, worlds: list[int]) -> None:  # noqa: B027 (most maps carry nothing over)
-        """New episodes begin in `worlds`: forget what was carried over from frame to frame there."""
+        """Discard what was carried over from frame to frame in `worlds`, where new episodes begin."""
 
     def checked(self, actions: np.ndarray, n: tuple[int, int]) -> Float[np.ndarray, "E k *a"]:
         """The actions of n = (E, k) slots, clipped to [-1, 1]; ValueError for a wrong shape, NaN or infinity."""

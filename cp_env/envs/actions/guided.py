@@ -11,7 +11,8 @@ from torch import Tensor
 
 from cp_env.detector.model.decoder import cell_centres
 from cp_env.envs.actions.base import ActionMap
-from cp_env.perturbation.objective import distance_from, lies
+from cp_env.perturbation.ball import ascend, make_ball
+from cp_env.perturbation.objective import attacked_output, distance_from
 from cp_env.world.situation import Situation
 
 
@@ -67,15 +68,15 @@ class Guided(ActionMap):
         start = self._carried(situation)
         fires = (guidance.fires * situation.active[:, None])[..., None, None, None]
         radius = (guidance.strength * situation.budget)[..., None, None, None] * fires
-        delta = _shrink(start * guidance.persistence[..., None, None, None], radius, situation.norm)
+        delta = make_ball(situation.norm).project(start * guidance.persistence[..., None, None, None], radius)
         useful = situation.fused.gather(1, situation.attackers) & (radius.flatten(1) > 0)
         if bool(useful.any()):
             delta = self._ascend(delta, radius, useful, guidance, situation)
-        self._last = torch.where(fires > 0, delta, start)  # who pauses remembers its last lie
+        self._last = torch.where(fires > 0, delta, start)  # an attacker that pauses keeps its last perturbation
         return delta
 
     def _carried(self, situation: Situation) -> Float[Tensor, "E k C H W"]:
-        """What every slot sent last, or 0 if its episode has just begun."""
+        """The perturbation that every slot sent last; 0 if its episode has just begun."""
         if self._last is None:
             self._last = situation.received.new_zeros((*situation.attackers.shape, *situation.received.shape[2:]))
         self._last[self._stale] = 0
@@ -85,7 +86,7 @@ class Guided(ActionMap):
     def _ascend(
         self, delta: Tensor, radius: Tensor, useful: Tensor, guidance: Guidance, situation: Situation
     ) -> Float[Tensor, "E k C H W"]:
-        busy = useful.any(1).nonzero()[:, 0]  # worlds in which somebody's lie can still reach the ego
+        busy = useful.any(1).nonzero()[:, 0]  # worlds in which a perturbation can still reach the ego
         weights = guidance.fires[busy] * useful[busy]
         weights = weights / weights.sum(1, keepdim=True).clamp(min=1)
         attackers = situation.attackers[busy]
@@ -93,9 +94,9 @@ class Guided(ActionMap):
         clean = type(situation.clean)(situation.clean.logits[busy], situation.clean.boxes[busy])
         where = (_aim(guidance, situation)[busy] * weights[..., None, None]).sum(1)
         spoof, drift = (weights * guidance.spoof[busy]).sum(1), (weights * guidance.drift[busy]).sum(1)
-        moving, reach = delta[busy], radius[busy]
-        perceive = lies(
-            situation.eyes(busy),
+        moving, reach, ball = delta[busy], radius[busy], make_ball(situation.norm)
+        perceive = attacked_output(
+            situation.ego_detector(busy),
             situation.received[busy],
             situation.coverage[busy],
             attackers,
@@ -108,8 +109,8 @@ class Guided(ActionMap):
             moving = moving.detach().requires_grad_()
             with torch.enable_grad():
                 (gradient,) = torch.autograd.grad(damage(perceive(moving)).sum(), moving)
-            step = _steepest(gradient, situation.norm) * reach * (2.0 / self.steps)
-            moving = _shrink(moving.detach() + step, reach, situation.norm)
+            direction = ball.steepest(gradient) * _strong(gradient, situation.norm)
+            moving = ascend(ball, moving.detach(), direction * reach, 2.0 / self.steps, reach)
         result = delta.clone()
         result[busy] = moving
         return result
@@ -128,20 +129,9 @@ FAINT = 0.01
 without this a narrow aim would still fill the whole map."""
 
 
-def _steepest(gradient: Float[Tensor, "E k C H W"], norm: str) -> Float[Tensor, "E k C H W"]:
-    """The direction of unit norm that gains most, where there is anything to gain."""
-    if norm == "linf":
-        cells = gradient.abs().amax(2, keepdim=True)
-        return gradient.sign() * (cells > FAINT * cells.amax((3, 4), keepdim=True))
-    length = gradient.flatten(2).norm(dim=2)[..., None, None, None]
-    return gradient / length.clamp(min=1e-12)
-
-
-def _shrink(
-    delta: Float[Tensor, "E k C H W"], radius: Float[Tensor, "E k 1 1 1"], norm: str
-) -> Float[Tensor, "E k C H W"]:
-    """Project onto balls of each slot's own radius."""
-    if norm == "linf":
-        return torch.minimum(torch.maximum(delta, -radius), radius)
-    length = delta.flatten(2).norm(dim=2)[..., None, None, None].clamp(min=1e-12)
-    return delta * (radius / length).clamp(max=1.0)
+def _strong(gradient: Float[Tensor, "E k C H W"], norm: str) -> Float[Tensor, "E k 1 H W"] | float:
+    """1 in the cells whose gradient is not faint; a direction of the L2 ball keeps its magnitudes and needs no mask."""
+    if norm != "linf":
+        return 1.0
+    cells = gradient.abs().amax(2, keepdim=True)
+    return (cells > FAINT * cells.amax((3, 4), keepdim=True)).to(gradient)

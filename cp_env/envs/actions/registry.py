@@ -7,10 +7,15 @@ from collections.abc import Callable
 from cp_env.envs.actions.base import ActionMap
 from cp_env.envs.actions.black_box import Basis, Full
 from cp_env.envs.actions.guided import Guided
-from cp_env.envs.actions.similarity_bounded import Quiet
+from cp_env.envs.actions.similarity_bounded import SimilarityBounded
 from cp_env.settings import ACTIONS, choose
 
-_MAPS: dict[str, Callable[[int, int], ActionMap]] = {"full": Full, "basis": Basis, "guided": Guided, "quiet": Quiet}
+_MAPS: dict[str, Callable[[int, int], ActionMap]] = {
+    "full": Full,
+    "basis": Basis,
+    "guided": Guided,
+    "stealth": SimilarityBounded,
+}
 
 
 def make_action(name: str, channels: int, size: int) -> ActionMap:

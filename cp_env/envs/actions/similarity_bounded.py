@@ -1,4 +1,4 @@
-"""An action map for liars who mind what the ego saw last: guided ascent, held back until its view stays similar."""
+"""The action map `stealth`: guided ascent under a floor on the similarity to the ego's last output."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from cp_env.envs.actions.guided import Guided
-from cp_env.world.counterfactual import alike, foresee
+from cp_env.world.counterfactual import similarities, views_under
 from cp_env.world.situation import Situation
 
 SHIFTED = (0, 5, 6)  # strength, width and persistence: 0 is the end of the range, not the middle
@@ -17,22 +17,22 @@ RUNGS = 6
 
 
 def read(actions: Float[np.ndarray, "*b 9"]) -> tuple[Float[np.ndarray, "*b 8"], Float[np.ndarray, "*b"]]:
-    """The guided action in a quiet one, and the floor."""
+    """The guided part of a `stealth` action, and the floor."""
     steering = actions[..., :8].copy()
     steering[..., SHIFTED] += 1
     steering[..., GATE] += 0.5
     return np.clip(steering, -1, 1), (1 - actions[..., 8]) / 2
 
 
-class Quiet(Guided):
+class SimilarityBounded(Guided):
     """Nine numbers: those of `guided`, and a floor under the similarity of the ego's view to its last output.
 
-    The ascent gives the δ that the liars would like to send. Sent is the mixture of that and of their last δ, of
-    `RUNGS`, that goes furthest and whose view of those whom the ego is expected to fuse is still similar, Eq. (5), to
-    the ego's last output by the floor, +1 … -1 being 0 … 1; or else the one that is most similar. So 0, the middle of
-    all nine, is an attack of full strength that keeps half of what was seen; strength, aim's width and persistence
-    have their ends there, and the gate shuts below -0.5. Liars share the mean of their floors. Our choice: what
-    `agents.attacks.adaptive.threshold_aware` does by a rule, for learners.
+    The ascent gives the δ that the attackers want. `RUNGS` mixtures of it and of their last δ are tried. Each is judged
+    by the similarity, Eq. (5), of the view of the vehicles that the ego is expected to fuse to the ego's last output.
+    Sent is the mixture that goes furthest and reaches the floor (+1 … -1 is 0 … 1), or else the most similar one. So 0,
+    the middle of all nine, is an attack of full strength that keeps half of what was seen. Strength, the aim's width
+    and persistence have their largest values there, and the gate shuts below -0.5. Attackers share the mean of their
+    floors. Our choice: what `agents.attacks.adaptive.threshold_aware` does by a rule, for learners.
     """
 
     size = 9
@@ -43,13 +43,13 @@ class Quiet(Guided):
         before = self._carried(situation)
         wanted = super().__call__(steering, situation)
         fires = wanted.flatten(2).any(2)[..., None, None, None]
-        start = before * fires  # who pauses sends nothing
+        start = before * fires  # an attacker that pauses sends nothing
         rungs = [start + share * (wanted - start) for share in np.linspace(1, 0, RUNGS).tolist()]
         pairs = [(e, frozenset(row.nonzero().flatten().tolist())) for e, row in enumerate(situation.fused.cpu())]
-        found = [alike(foresee(situation, delta, pairs), list(situation.output)) for delta in rungs]
-        likeness = torch.from_numpy(np.stack(found))
-        kept = likeness >= floor
-        best = torch.where(kept.any(0), kept.float().argmax(0), likeness.argmax(0)).to(device)
+        found = [similarities(views_under(situation, delta, pairs), list(situation.output)) for delta in rungs]
+        similarity = torch.from_numpy(np.stack(found))
+        passes = similarity >= floor
+        best = torch.where(passes.any(0), passes.float().argmax(0), similarity.argmax(0)).to(device)
         sent = torch.stack(rungs)[best, torch.arange(len(best), device=device)]
         self._last = torch.where(fires, sent, before)
         return sent

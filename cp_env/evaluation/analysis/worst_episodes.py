@@ -5,30 +5,30 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from cp_env.evaluation.analysis.worst_case import damage_a_frame
-from cp_env.evaluation.plan.grid import Board, Played
-from cp_env.evaluation.plan.runs import NOBODY, Cell
+from cp_env.evaluation.analysis.worst_case import damage_per_frame
+from cp_env.evaluation.plan.grid import Grid, Results
+from cp_env.evaluation.plan.runs import NO_ATTACK, Run
 
 
 @dataclass(frozen=True)
 class Worst:
-    """The episode in which a defender's ego lost the most, and the film of it."""
+    """The episode in which a defender lost the most, and its video."""
 
-    cell: Cell  # of one scene
-    damage: float  # a frame
+    run: Run  # of one scene
+    damage: float  # per frame
     gif: Path
 
 
-def worst_episodes(board: Board, played: Played, folder: Path) -> dict[str, Worst]:
-    """By defender, over all attacks, scenes and seeds; where its film is or will be, in `folder`."""
+def worst_episodes(grid: Grid, results: Results, folder: Path) -> dict[str, Worst]:
+    """The worst episode of each defender, over all attacks, scenes and seeds; its video belongs in `folder`."""
     worst: dict[str, Worst] = {}
-    for cell, records in played.items():
-        if cell.attack == NOBODY or not cell.k:
+    for run, records in results.items():
+        if run.attack == NO_ATTACK or not run.k:
             continue
         for record in records:
-            damage = damage_a_frame(record, board.protocol.frames)
-            if cell.defender not in worst or damage > worst[cell.defender].damage:
-                alone = replace(cell, names=(record.scene,))
-                gif = folder / f"{alone.slug(board.protocol, board.store.detector)}.gif"
-                worst[cell.defender] = Worst(alone, damage, gif)
+            damage = damage_per_frame(record, grid.conditions.frames)
+            if run.defender not in worst or damage > worst[run.defender].damage:
+                episode = replace(run, names=(record.scene,))
+                gif = folder / f"{episode.slug(grid.conditions, grid.store.detector)}.gif"
+                worst[run.defender] = Worst(episode, damage, gif)
     return worst

@@ -1,4 +1,4 @@
-"""Work spread over processes of this machine. A process that dies costs the job it had, and no other."""
+"""Execution in processes of this machine. A process that dies costs the call it had, and no other."""
 
 from __future__ import annotations
 
@@ -15,44 +15,44 @@ from typing import Any, TypeVar
 import torch
 
 T = TypeVar("T")
-Job = tuple[Any, ...]
+Call = tuple[Any, ...]
 
 
 @dataclass(frozen=True)
 class Failure:
-    """What came of a job instead of its result."""
+    """The failure of a call, in the place of its result."""
 
     reason: str
 
 
-def attempt(task: Callable[..., T], job: Job) -> T | Failure:
-    """`task(*job)`, or why it failed. What is no `Exception` (a keyboard interrupt) is let through."""
+def attempt(task: Callable[..., T], call: Call) -> T | Failure:
+    """`task(*call)`, or why it failed. What is no `Exception` (a keyboard interrupt) is let through."""
     try:
-        return task(*job)
+        return task(*call)
     except Exception as error:
         return Failure(f"{type(error).__name__}: {error}")
 
 
 def in_processes(
-    task: Callable[..., T], jobs: Sequence[Job], workers: int, threads: int
+    task: Callable[..., T], calls: Sequence[Call], workers: int, threads: int
 ) -> Iterator[tuple[int, T | Failure]]:
-    """`task(*job)` for every job: its number and its result, as they come.
+    """`task(*call)` for every call: its number and its result, as they come.
 
-    A worker whose parent was killed ends by itself once it finds no one to answer to.
+    A worker whose parent was killed ends by itself once no one receives its answer.
     """
-    waiting, busy = deque(range(len(jobs))), dict[Connection, tuple[BaseProcess, int]]()
+    waiting, busy = deque(range(len(calls))), dict[Connection, tuple[BaseProcess, int]]()
 
     def send(connection: Connection, process: BaseProcess) -> None:
         if waiting:
             number = waiting.popleft()
             busy[connection] = process, number
-            with suppress(ConnectionError):  # a worker that has just died answers nothing: its job has failed
-                connection.send((task, jobs[number]))
+            with suppress(ConnectionError):  # a worker that has just died answers nothing: its call has failed
+                connection.send((task, calls[number]))
         else:
             connection.close()
 
     try:
-        for _ in range(min(workers, len(jobs))):
+        for _ in range(min(workers, len(calls))):
             send(*_hire(threads))
         while busy:
             for connection in wait(list(busy)):
@@ -67,13 +67,13 @@ def in_processes(
                     if waiting:
                         send(*_hire(threads))
                 yield number, result
-    finally:  # an error, or a caller who stops asking
+    finally:  # an error, or a caller that stops asking
         for process, _ in busy.values():
             process.terminate()
 
 
 def _hire(threads: int) -> tuple[Connection, BaseProcess]:
-    """A new worker and the line to it."""
+    """A new worker and the connection to it."""
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
     process = context.Process(target=_serve, args=(theirs, threads), daemon=True)
@@ -83,12 +83,12 @@ def _hire(threads: int) -> tuple[Connection, BaseProcess]:
 
 
 def _serve(line: Connection, threads: int) -> None:
-    """A worker's life: to answer until the line is closed."""
+    """Answer calls until the connection is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # an interrupt is the parent's to handle
     torch.set_num_threads(threads)
     try:
         while True:
-            task, job = line.recv()
-            line.send(attempt(task, job))
+            task, call = line.recv()
+            line.send(attempt(task, call))
     except (EOFError, ConnectionError):
         return

@@ -1,4 +1,4 @@
-"""Work spread over a Ray cluster: the machines need this package, and outsiders' classes, where Python finds them."""
+"""Execution on a Ray cluster: every machine needs this package, and your own classes, where Python finds them."""
 
 from __future__ import annotations
 
@@ -9,20 +9,22 @@ from typing import Any, TypeVar
 
 import torch
 
-from cp_env.evaluation.execution.processes import Failure, Job, attempt
+from cp_env.evaluation.execution.processes import Call, Failure, attempt
 
 T = TypeVar("T")
 RETRIES = 1
-"""How often a job is given to another worker after its own has died."""
+"""How often a call is given to another worker after its own has died."""
 
 
 @contextmanager
 def joined(address: str) -> Iterator[Any]:
-    """The module `ray`, on a cluster: the one this process is on, or else one that is joined, and left at the end.
+    """The module `ray`, on a cluster: the one this process is on, or one that is joined and left at the end.
 
-    `address` as in `ray.init`; "" is the cluster that runs here or is named by `RAY_ADDRESS`, or a new one.
+    Args:
+        address: as in `ray.init`; "" is the cluster that runs here or is named by `RAY_ADDRESS`, or a new one.
 
-    Raises ImportError, naming the extra, where ray is not installed.
+    Raises:
+        ImportError: ray is not installed; the message names the extra.
     """
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     try:
@@ -40,12 +42,12 @@ def joined(address: str) -> Iterator[Any]:
 
 
 def on_ray(
-    task: Callable[..., T], jobs: Sequence[Job], address: str, threads: int
+    task: Callable[..., T], calls: Sequence[Call], address: str, threads: int
 ) -> Iterator[tuple[int, T | Failure]]:
-    """`task(*job)` for every job: its number and its result, as they come; the cluster as in `joined`."""
+    """`task(*call)` for every call: its number and its result, as they come; the cluster as in `joined`."""
     with joined(address) as ray:
         remote = ray.remote(num_cpus=threads, max_retries=RETRIES)(_on_threads)
-        pending = {remote.remote(task, job, threads): number for number, job in enumerate(jobs)}
+        pending = {remote.remote(task, call, threads): number for number, call in enumerate(calls)}
         try:
             while pending:
                 (done, *_), _ = ray.wait(list(pending))
@@ -55,11 +57,11 @@ def on_ray(
                 except ray.exceptions.RayError as error:
                     result = Failure(f"its worker died ({type(error).__name__})")
                 yield number, result
-        finally:  # an error, or a caller who stops asking
+        finally:  # an error, or a caller that stops asking
             for reference in pending:
                 ray.cancel(reference, force=True)
 
 
-def _on_threads(task: Callable[..., T], job: Job, threads: int) -> T | Failure:
+def _on_threads(task: Callable[..., T], call: Call, threads: int) -> T | Failure:
     torch.set_num_threads(threads)
-    return attempt(task, job)
+    return attempt(task, call)

@@ -1,177 +1,151 @@
-"""One cell, played: its scenes in lock-step, from reset to the last frame."""
+"""The rollout of one run: its scenes in lock-step, from reset to the last frame."""
 
 from __future__ import annotations
 
 import time
 import zlib
 from collections.abc import Callable
-from dataclasses import asdict
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
-from torch import Tensor
 
 import defenders
-from cp_env.attack import Attacker, Learned
+from cp_env.attack import Attack, Learned
 from cp_env.envs.core import Game
 from cp_env.evaluation.plan.records import IOUS, Record
-from cp_env.evaluation.plan.runs import Cell, Protocol, parse
+from cp_env.evaluation.plan.runs import Conditions, Run
 from cp_env.metrics.average_precision import ApMeter
 from cp_env.world.scene_cache import SceneBank
-from cp_env.world.situation import Outcome
+from cp_env.world.situation import FRAME_METRICS, Clock, Outcome
 from cp_env.world.world import World
-from defenders.protocol import Defender
+
+RECORDED = ("damage", "similarity", "verifications")
+"""The frame metrics that a record holds."""
 
 VIEWPOINT = ("action", "observation", "knowledge")
-"""The knobs a learned attacker brings along; the rest is the protocol's."""
+"""The options that a learned attack brings along; the rest is given by the conditions."""
 
 
-Clock = Callable[[], float]
+class Rollout:
+    """The worlds of a run: every scene is reset with a seed of its own, the same for every defender and attack.
 
-
-class Stage:
-    """A cell set up: every scene is reset with a seed of its own, the same for every defender and attack.
-
-    `world` is what is played, `move` plays one frame of it, `seconds` is what the world's steps took so far: perceiving
-    and defending, not attacking.
+    `world` holds the worlds, `step` plays one frame of them.
     """
 
     def __init__(
         self,
-        cell: Cell,
-        protocol: Protocol,
+        run: Run,
+        conditions: Conditions,
         bank: SceneBank,
-        attacker: Attacker | Learned,
+        attack: Attack | Learned,
         clock: Clock = time.perf_counter,
     ) -> None:
-        defender = open_defender(cell.defender)
-        settings = asdict(protocol.settings(cell.k))
-        self.seconds = 0.0
-        if isinstance(attacker, Attacker):
-            self.world = World(len(cell.names), defender=defender, bank=bank, **settings)
-            _reset(self.world, cell)
-            self.move = self._scripted(attacker, [np.random.default_rng(_seed(cell.seed, s, 1)) for s in cell.names])
+        defender = defenders.make(run.defender)
+        settings = vars(conditions.settings(run.k))
+        seeds = [_seed(run.seed, scene, 0) for scene in run.names]
+        options = [{"scene": scene} for scene in run.names]
+        if isinstance(attack, Attack):
+            self.world = World(len(run.names), defender=defender, bank=bank, clock=clock, **settings)
+            self.world.reset(seeds, options=options)
+            self.step = self._scripted(attack, [np.random.default_rng(_seed(run.seed, s, 1)) for s in run.names])
         else:
-            settings |= {knob: attacker.knobs[knob] for knob in VIEWPOINT if knob in attacker.knobs}
-            game = Game(len(cell.names), defender, bank=bank, **settings)
+            settings = settings | {name: attack.options[name] for name in VIEWPOINT if name in attack.options}
+            game = Game(len(run.names), defender, bank=bank, clock=clock, **settings)
             self.world = game.world
-            self.move = self._learned(attacker, game, _reset(game, cell))
-        self._time(clock)
+            self.step = self._learned(attack, game, game.reset(seeds, options=options)[0])
 
-    def _scripted(self, attacker: Attacker, streams: list[np.random.Generator]) -> Callable[[], Outcome]:
-        attacker.reset(len(streams), streams)
-        return lambda: self.world.step(attacker.act(self.world.situation()))
+    def _scripted(self, attack: Attack, streams: list[np.random.Generator]) -> Callable[[], Outcome]:
+        attack.reset(len(streams), streams)
+        return lambda: self.world.step(attack.act(self.world.situation()))
 
-    def _learned(self, attacker: Learned, game: Game, observations: Any) -> Callable[[], Outcome]:
+    def _learned(self, attack: Learned, game: Game, observations: Any) -> Callable[[], Outcome]:
         held = [observations]
 
-        def move() -> Outcome:
-            held[0], *_ = game.step(attacker(held[0]))
+        def step() -> Outcome:
+            held[0], *_ = game.step(attack(held[0]))
             assert game.outcome is not None
             return game.outcome
 
-        return move
-
-    def _time(self, clock: Clock) -> None:
-        """Let a stopwatch run during the steps of this world, whoever calls them."""
-        step = self.world.step
-
-        def timed(delta: Float[Tensor, "E k C H W"]) -> Outcome:
-            start = clock()
-            outcome = step(delta)
-            self.seconds += clock() - start
-            return outcome
-
-        self.world.step = timed  # type: ignore[method-assign]
-
-
-def open_defender(spec: str) -> Defender:
-    """The defender a spec names: one of `defenders.names()`, or a class of yours as `module:Class`.
-
-    Raises ValueError for an unknown name, a class that cannot be imported, and knobs it has not.
-    """
-    name, knobs = parse(spec)
-    return defenders.make(name, **knobs)
+        return step
 
 
 def play(
-    cell: Cell,
-    protocol: Protocol,
+    run: Run,
+    conditions: Conditions,
     bank: SceneBank,
-    attacker: Attacker | Learned,
+    attack: Attack | Learned,
     clock: Clock = time.perf_counter,
 ) -> list[Record]:
-    """Play every scene of the cell to its end; one record a scene."""
-    stage = Stage(cell, protocol, bank, attacker, clock)
-    liars = stage.world.attackers.tolist()
-    tapes = [_Tape(scene, tuple(numbers), protocol.ap) for scene, numbers in zip(cell.names, liars, strict=True)]
-    while any(tape.running for tape in tapes):
-        before = stage.seconds
-        outcome = stage.move()
-        for e, tape in enumerate(tapes):
-            tape.add(outcome, e, (stage.seconds - before) / len(tapes))
-    return [tape.record(protocol) for tape in tapes]
+    """Play every scene of the run to its end.
+
+    Args:
+        run: what is played.
+        conditions: under which it is played.
+        bank: the encoded scenes.
+        attack: scripted or learned.
+        clock: measures the time of the world's steps.
+
+    Returns:
+        One record a scene.
+    """
+    rollout = Rollout(run, conditions, bank, attack, clock)
+    attackers = rollout.world.attackers.tolist()
+    recorders = [
+        EpisodeRecorder(scene, tuple(numbers), conditions.ap, informed)
+        for scene, numbers, informed in zip(run.names, attackers, rollout.world.informed, strict=True)
+    ]
+    while any(recorder.running for recorder in recorders):
+        outcome = rollout.step()
+        for e, recorder in enumerate(recorders):
+            recorder.add(outcome, e)
+    return [recorder.record(conditions) for recorder in recorders]
 
 
-def _reset(worlds: World | Game, cell: Cell) -> Any:
-    """Begin every world on its scene; a game's observations."""
-    seeds = [_seed(cell.seed, scene, 0) for scene in cell.names]
-    worlds.reset(seeds, options={"scene": cell.names[0]})  # a game observes all of its worlds at once
-    result = None
-    for e, (scene, seed) in enumerate(zip(cell.names, seeds, strict=True)):
-        fresh = np.random.SeedSequence(seed.entropy)  # spawning leaves its trace on a sequence
-        result = worlds.reset([fresh], worlds=[e], options={"scene": scene})
-    return result[0] if result else None
+class EpisodeRecorder:
+    """The record of one world's episode while it runs."""
 
-
-class _Tape:
-    """One world's episode while it runs."""
-
-    def __init__(self, scene: str, liars: tuple[int, ...], ap: str) -> None:
-        self.scene, self.liars, self.running = scene, liars, True
+    def __init__(self, scene: str, attackers: tuple[int, ...], ap: str, informed: bool) -> None:
+        self.scene, self.attackers, self.running = scene, attackers, True
         self.meter = ApMeter(IOUS, ap)
-        self.damage: list[float] = []
-        self.similarity: list[float] = []
-        self.verifications: list[int] = []
+        self.metrics: dict[str, list[float]] = {name: [] for name in RECORDED}
         self.suspects: tuple[int, ...] = ()
         self.converged: int | None = None
         self.error: str | None = None
-        self.seconds = 0.0
+        self.informed, self.seconds = informed, 0.0
 
-    def add(self, outcome: Outcome, e: int, seconds: float) -> None:
-        """Count one frame, unless the episode is over (the world waits for its neighbours then)."""
+    def add(self, outcome: Outcome, e: int) -> None:
+        """Record one frame, unless the episode is over (the world waits for its neighbours then)."""
         if not self.running:
             return
         verdict = outcome.verdicts[e]
         self.meter.add(outcome.output[e].detections, outcome.truth[e])
-        self.damage.append(round(float(outcome.damage[e]), 6))
-        self.similarity.append(round(float(outcome.similarity[e]), 6))
-        self.verifications.append(int(outcome.verifications[e]))
+        for name, values in self.metrics.items():
+            values.append(round(float(FRAME_METRICS[name](outcome)[e]), 6))
         if self.converged is None:
             self.suspects = tuple(sorted(verdict.suspects))
             self.converged = int(outcome.frame[e]) if verdict.converged else None
         self.error = outcome.errors[e]
-        self.seconds += seconds
+        self.seconds += outcome.seconds / len(outcome.judgements)
         self.running = not bool(outcome.truncated[e])
 
-    def record(self, protocol: Protocol) -> Record:
+    def record(self, conditions: Conditions) -> Record:
         return Record(
             scene=self.scene,
-            liars=self.liars,
-            n_maps=protocol.n_vehicles + int(protocol.rsu),
-            grace_frames=protocol.grace_frames,
+            attackers=self.attackers,
+            n_maps=conditions.n_vehicles + int(conditions.rsu),
+            grace_frames=conditions.grace_frames,
             meter=self.meter,
-            damage=tuple(self.damage),
-            similarity=tuple(self.similarity),
-            verifications=tuple(self.verifications),
+            damage=tuple(self.metrics["damage"]),
+            similarity=tuple(self.metrics["similarity"]),
+            verifications=tuple(map(int, self.metrics["verifications"])),
             suspects=self.suspects,
             converged=self.converged,
             error=self.error,
+            informed=self.informed,
             seconds=round(self.seconds, 6),
         )
 
 
 def _seed(seed: int, scene: str, purpose: int) -> np.random.SeedSequence:
-    """Depends on the seed and the scene only, so cells that differ in defender or attack are played in pairs."""
+    """A seed that depends on seed and scene alone, so runs that differ in defender or attack are played in pairs."""
     return np.random.SeedSequence([seed, zlib.crc32(scene.encode()), purpose])

@@ -1,4 +1,4 @@
-"""Who plays: this process, several of this machine, or a Ray cluster. The figures do not depend on it."""
+"""Workers that execute runs: this process, several of this machine, or a Ray cluster; results do not depend on them."""
 
 from __future__ import annotations
 
@@ -8,61 +8,75 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
-from cp_env.attack import Attacker, Learned
-from cp_env.detector import load_detector
+from cp_env.attack import Attack, Learned
 from cp_env.detector.model.weights import read_detector
-from cp_env.evaluation.execution.processes import Failure, Job, attempt, in_processes
+from cp_env.detector.protocol import DetectorLike
+from cp_env.detector.registry import open_detector
+from cp_env.evaluation.execution.processes import Call, Failure, attempt, in_processes
 from cp_env.evaluation.execution.ray import on_ray
-from cp_env.evaluation.execution.rollout import Clock
-from cp_env.evaluation.plan.runs import Protocol
+from cp_env.evaluation.plan.runs import Conditions
 from cp_env.scenes import open_source
 from cp_env.world.scene_cache import SceneBank
+from cp_env.world.situation import Clock
 
-MakeAttacker = Callable[..., Attacker | Learned]
+MakeAttack = Callable[..., Attack | Learned]
 T = TypeVar("T")
-_opened: dict[tuple[str, str, str | None], SceneBank] = {}
+_opened: dict[tuple[str, str, str | None, str], SceneBank] = {}
 
 
-def open_bank(protocol: Protocol) -> SceneBank:
-    """The bank of the protocol's scenes under its detector, one a process: the one last opened is kept.
+def open_bank(conditions: Conditions) -> SceneBank:
+    """The bank of the conditions' scenes under their detector, one a process: the one last opened is kept.
 
-    Raises ValueError for weights that cannot be read, or that fuse otherwise than the protocol says.
+    Raises:
+        ValueError: weights that cannot be read, or that fuse otherwise than the conditions say.
     """
-    source = open_source(protocol.scenes)
-    key = (source.digest, protocol.fusion, protocol.weights)
+    source = open_source(conditions.scenes)
+    key = (source.digest, conditions.fusion, conditions.weights, conditions.detector)
     if key not in _opened:
         _opened.clear()
-        if protocol.weights is None:
-            detector = load_detector(protocol.fusion)
+        if conditions.weights is None:
+            detector: DetectorLike = open_detector(conditions.detector, fusion=conditions.fusion)
         else:
-            detector = read_detector(Path(protocol.weights)).freeze()
-            if detector.fusion != protocol.fusion:
+            detector = trained = read_detector(Path(conditions.weights)).freeze()
+            if trained.fusion != conditions.fusion:
                 raise ValueError(
-                    f"{protocol.weights} fuse by {detector.fusion}; choose that fusion, not {protocol.fusion}"
+                    f"{conditions.weights} fuse by {trained.fusion}; choose that fusion, not {conditions.fusion}"
                 )
         _opened[key] = SceneBank(source, detector, progress=False)
     return _opened[key]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Crew:
-    """How many processes play, each with how many torch threads, and where attackers come from."""
+class Workers:
+    """The processes that execute runs, their torch threads, and how attacks are made.
 
-    make_attacker: MakeAttacker  # name, **knobs -> attacker; importable by name if there are several processes
-    workers: int = 1
+    Args:
+        make_attack: from "pgd:steps=30" to an attack; importable by name if there are several processes.
+        processes: number of them.
+        threads: torch threads of each.
+        ray: address of a Ray cluster, which takes the place of `processes`; "": see `on_ray`.
+        open_bank: from conditions to encoded scenes.
+        clock: measures the time of the world's steps.
+
+    Raises:
+        ValueError: no processes or no threads.
+    """
+
+    make_attack: MakeAttack  # spec -> attack; importable by name if there are several processes
+    processes: int = 1
     threads: int = 1
-    ray: str | None = None  # a Ray cluster's address, which takes the place of `workers`; "": see `on_ray`
-    open_bank: Callable[[Protocol], SceneBank] = open_bank
+    ray: str | None = None  # a Ray cluster's address, which takes the place of `processes`; "": see `on_ray`
+    open_bank: Callable[[Conditions], SceneBank] = open_bank
     clock: Clock = time.perf_counter
 
     def __post_init__(self) -> None:
-        if self.workers < 1 or self.threads < 1:
-            raise ValueError(f"workers and threads must be at least 1, not {self.workers} and {self.threads}")
+        if self.processes < 1 or self.threads < 1:
+            raise ValueError(f"processes and threads must be at least 1, not {self.processes} and {self.threads}")
 
-    def each(self, task: Callable[..., T], jobs: Sequence[Job]) -> Iterator[tuple[int, T | Failure]]:
-        """`task(*job)` for every job: its number and its result, in order in this process, else as they come."""
+    def each(self, task: Callable[..., T], calls: Sequence[Call]) -> Iterator[tuple[int, T | Failure]]:
+        """`task(*call)` for every call: its number and its result, in order in this process, else as they come."""
         if self.ray is not None:
-            return on_ray(task, jobs, self.ray, self.threads)
-        if self.workers > 1 and len(jobs) > 1:
-            return in_processes(task, jobs, self.workers, self.threads)
-        return ((number, attempt(task, job)) for number, job in enumerate(jobs))
+            return on_ray(task, calls, self.ray, self.threads)
+        if self.processes > 1 and len(calls) > 1:
+            return in_processes(task, calls, self.processes, self.threads)
+        return ((number, attempt(task, call)) for number, call in enumerate(calls))

@@ -1,4 +1,4 @@
-"""What was played, on disk: one JSON file a cell, written whole or not at all, so that a killed run loses one cell."""
+"""Results on disk: one JSON file a run, written whole or not at all, so that a killed execution loses one run."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
-from cp_env.evaluation.plan.runs import Cell, Protocol
+from cp_env.evaluation.plan.runs import Conditions, Run
 from cp_env.metrics.average_precision import ApMeter
 
 IOUS = (0.5, 0.7)
 
 
-class Counted(ApMeter):
-    """A meter read back: what was matched once, without the frames it came from."""
+class PooledApMeter(ApMeter):
+    """An AP meter of several episodes: the matches, without the frames they came from."""
 
     def __init__(
         self,
@@ -36,8 +36,12 @@ class Counted(ApMeter):
         self._matched = {iou: (scores, hit) for iou, hit in hits.items()}
 
     @classmethod
-    def pool(cls, meters: Sequence[ApMeter]) -> Counted:
-        """One meter of several episodes. ValueError if they count by different protocols."""
+    def pool(cls, meters: Sequence[ApMeter]) -> PooledApMeter:
+        """One meter of several episodes.
+
+        Raises:
+            ValueError: they count by different AP protocols.
+        """
         protocols = {meter.protocol for meter in meters}
         if len(protocols) != 1:
             raise ValueError(f"meters of different AP protocols do not merge: {sorted(protocols)}")
@@ -47,8 +51,8 @@ class Counted(ApMeter):
         n_truth, n_frames = sum(m.n_truth for m in meters), sum(m.n_frames for m in meters)
         return cls(scores, hits, n_truth, n_frames, *protocols)
 
-    def merge(self, other: ApMeter) -> Counted:
-        return Counted.pool([self, other])
+    def merge(self, other: ApMeter) -> PooledApMeter:
+        return PooledApMeter.pool([self, other])
 
     def matched(self, iou: float) -> tuple[Float[np.ndarray, " D"], Bool[np.ndarray, " D"]]:
         return self._matched[iou]
@@ -56,10 +60,10 @@ class Counted(ApMeter):
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """One episode: one scene of a cell. Lists run over its frames, grace frames included."""
+    """One episode: one scene of a run. Lists run over its frames, grace frames included."""
 
     scene: str
-    liars: tuple[int, ...]
+    attackers: tuple[int, ...]
     n_maps: int
     grace_frames: int
     meter: ApMeter  # of the output, at 0.5 and 0.7
@@ -70,6 +74,7 @@ class Record:
     converged: int | None  # the frame in which it first did
     error: str | None  # why the defender failed, which ended the episode
     seconds: float  # its share of the time the world's steps took: perceiving and defending, not attacking
+    informed: bool = False  # whether the world showed the defender the attackers: such a one is never ranked
 
     def to_json(self) -> dict[str, Any]:
         plain = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "meter"}
@@ -88,44 +93,44 @@ class Record:
             for iou in IOUS
         }
         protocol = boxes.get("protocol", "strict")
-        return cls(meter=Counted(scores, hits, boxes["n_truth"], boxes["n_frames"], protocol), **plain)
+        return cls(meter=PooledApMeter(scores, hits, boxes["n_truth"], boxes["n_frames"], protocol), **plain)
 
 
 class Store:
-    """A directory of finished cells, played with the detector whose digest is given."""
+    """A directory of finished runs, played with the detector whose digest is given."""
 
     def __init__(self, root: str | Path, detector: str = "") -> None:
         self.root, self.detector = Path(root), detector
 
-    def path(self, cell: Cell, protocol: Protocol) -> Path:
-        return self.root / "cells" / f"{cell.slug(protocol, self.detector)}.json"
+    def path(self, run: Run, conditions: Conditions) -> Path:
+        return self.root / "runs" / f"{run.slug(conditions, self.detector)}.json"
 
-    def write(self, cell: Cell, protocol: Protocol, records: Iterable[Record]) -> None:
-        """Atomic: a reader, or the next run, sees the whole cell or none. The file says what was played, and how."""
-        conditions = {"conditions": protocol.describe(), "detector": self.detector}
-        data = {**asdict(cell), **conditions, "records": [record.to_json() for record in records]}
-        write_atomically(self.path(cell, protocol), json.dumps(data) + "\n")
+    def write(self, run: Run, conditions: Conditions, records: Iterable[Record]) -> None:
+        """Write a run atomically: a reader sees the whole run or none. The file holds its conditions, too."""
+        described = {"conditions": conditions.describe(), "detector": self.detector}
+        data = {**asdict(run), **described, "records": [record.to_json() for record in records]}
+        write_atomically(self.path(run, conditions), json.dumps(data) + "\n")
 
-    def read(self, cell: Cell, protocol: Protocol) -> tuple[Record, ...] | None:
-        """The cell's episodes; None if it was not finished (a file that cannot be read counts as not finished)."""
+    def read(self, run: Run, conditions: Conditions) -> tuple[Record, ...] | None:
+        """The run's episodes; None if it was not finished (a file that cannot be read counts as not finished)."""
         try:
-            data = json.loads(self.path(cell, protocol).read_text())
+            data = json.loads(self.path(run, conditions).read_text())
             return tuple(Record.from_json(record) for record in data["records"])
         except (OSError, ValueError, KeyError, TypeError, zlib.error):
             return None
 
-    def load(self, cells: Iterable[Cell], protocol: Protocol) -> dict[Cell, tuple[Record, ...]]:
-        """All of `cells` that are finished."""
-        found = ((cell, self.read(cell, protocol)) for cell in cells)
-        return {cell: records for cell, records in found if records is not None}
+    def load(self, runs: Iterable[Run], conditions: Conditions) -> dict[Run, tuple[Record, ...]]:
+        """All of `runs` that are finished."""
+        found = ((run, self.read(run, conditions)) for run in runs)
+        return {run: records for run, records in found if records is not None}
 
 
 def write_atomically(path: Path, data: str | bytes) -> None:
-    """Write under another name, then rename."""
+    """Write a file under another name, then rename it."""
     path.parent.mkdir(parents=True, exist_ok=True)
     draft = path.with_name(f".{path.name}.{os.getpid()}")
     draft.write_bytes(data.encode() if isinstance(data, str) else data)
-    os.replace(draft, path)
+    draft.replace(path)
 
 
 def _pack(array: np.ndarray) -> str:

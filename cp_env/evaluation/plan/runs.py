@@ -1,8 +1,7 @@
-"""What is to be played: the conditions common to all, and the cells of the table."""
+"""Runs of an evaluation: the conditions common to all, and the plan."""
 
 from __future__ import annotations
 
-import ast
 import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
@@ -14,28 +13,34 @@ from typing import Any
 
 from cp_env.metrics.average_precision import rules
 from cp_env.scenes import open_source
-from cp_env.settings import Settings
+from cp_env.settings import Fusion, Norm, Settings
 from cp_env.types import SceneSource
+from defenders.registry import Spec
 
-NOBODY = "none"
-"""The attack of nobody: played once a defender, with no liars."""
+NO_ATTACK = "none"
+"""The absence of an attack: played once a defender, without attackers."""
 
 
 @dataclass(frozen=True)
-class Protocol:
-    """The conditions every cell shares; part of every cell's identity."""
+class Conditions:
+    """The conditions that every run shares; part of every run's identity.
+
+    Raises:
+        ValueError: no scenes, unknown scenes, or an unknown AP protocol.
+    """
 
     scenes: str | SceneSource  # a source of scenes
     names: tuple[str, ...]  # the scenes of it that are played
     frames: int = 100  # of an episode; it starts at a frame of the scene drawn from the seed
     n_vehicles: int = 5
     budget: float = 0.3
-    norm: str = "linf"
+    norm: Norm = "linf"
     rsu: bool = False
-    fusion: str = "mean"
+    fusion: Fusion = "mean"
     grace_frames: int = 1
     ap: str = "strict"  # how average precision is counted: see `cp_env.metrics.average_precision`
     weights: str | None = None  # a file of the detector's; by default those that ship
+    detector: str = "cp_env"  # see `cp_env.detector.registry`
 
     def __post_init__(self) -> None:
         rules(self.ap)
@@ -46,7 +51,7 @@ class Protocol:
             raise ValueError(f"unknown scenes {unknown}; known: {', '.join(open_source(self.scenes).names())}")
 
     def settings(self, k: int) -> Settings:
-        """The knobs of a world in which k vehicles lie."""
+        """The settings of a world with k attackers."""
         return Settings(
             n_vehicles=self.n_vehicles,
             n_attackers=k,
@@ -59,16 +64,16 @@ class Protocol:
         )
 
     def describe(self) -> dict[str, Any]:
-        """All of it, fit for JSON."""
+        """All conditions, fit for JSON."""
         scenes = self.scenes if isinstance(self.scenes, str) else self.scenes.name
         shared = {name: value for name, value in asdict(self.settings(0)).items() if name in self.__dataclass_fields__}
-        ap = {} if self.ap == "strict" else {"ap": self.ap}  # the default leaves the names of stored cells as they were
+        ap = {} if self.ap == "strict" else {"ap": self.ap}  # the default leaves the names of stored runs as they were
         return {"scenes": scenes, "names": list(self.names), "frames": self.frames, **shared, **ap}
 
 
 @dataclass(frozen=True)
-class Cell:
-    """One defender against one attack with k liars: some scenes in lock-step, one seed."""
+class Run:
+    """One defender against one attack with k attackers: some scenes in lock-step, one seed."""
 
     defender: str
     attack: str
@@ -80,83 +85,66 @@ class Cell:
         names = ", ".join(self.names)
         return f"{self.defender} against {self.attack}, k = {self.k}, seed {self.seed}, on {names}"
 
-    def slug(self, protocol: Protocol, detector: str = "") -> str:
-        """A file name: readable, and distinct for any other cell, protocol, scene source or detector digest.
+    def slug(self, conditions: Conditions, detector: str = "") -> str:
+        """A file name: readable, and distinct for any other run, conditions, scene source or detector digest.
 
-        An outsider's cell is another one, too, when the file that holds its class was changed.
+        A run with a class of yours is another one, too, when the file that holds the class was changed.
         """
-        conditions = {**protocol.describe(), "names": None, "digest": open_source(protocol.scenes).digest}
-        outsiders = [code for spec in (self.defender, self.attack) if (code := code_of(spec)) is not None]
-        identity = zlib.crc32(repr((self, detector, sorted(conditions.items()), *outsiders)).encode())
+        described = {**conditions.describe(), "names": None, "digest": open_source(conditions.scenes).digest}
+        custom_classes = [code for spec in (self.defender, self.attack) if (code := code_of(spec)) is not None]
+        identity = zlib.crc32(repr((self, detector, sorted(described.items()), *custom_classes)).encode())
         words = file_words(f"{self.defender}-{self.attack}")
         return f"{words}-k{self.k}-s{self.seed}-{self.names[0]}-{identity:08x}"
 
 
-def plan(
-    protocol: Protocol,
+def plan_runs(
+    conditions: Conditions,
     *,
     defenders: Sequence[str],
     attacks: Sequence[str],
     ks: Sequence[int],
     seeds: Sequence[int],
     batch: int = 4,
-) -> list[Cell]:
-    """Every cell, `batch` scenes each. The attack "none" is played without liars, once whatever `ks` says.
+) -> list[Run]:
+    """Every run, `batch` scenes each. The attack "none" is played without attackers, once whatever `ks` says.
 
-    Raises ValueError for a k the protocol does not allow, a spec that cannot be read, and an empty or doubled axis.
+    Args:
+        conditions: that every run shares.
+        defenders: specs.
+        attacks: specs.
+        ks: numbers of attackers.
+        seeds: of starts, attackers and noise.
+        batch: scenes in lock-step.
+
+    Returns:
+        The runs.
+
+    Raises:
+        ValueError: a k that the conditions do not allow, a spec that cannot be read, or an empty or doubled axis.
     """
     for what, values in (("defenders", defenders), ("attacks", attacks), ("ks", ks), ("seeds", seeds)):
         if not values or len(set(values)) != len(values):
             raise ValueError(f"{what} must be distinct, and at least one; got {list(values)}")
     for spec in (*defenders, *attacks):
-        parse(spec)
+        Spec.parse(spec)
     for k in ks:
         if k < 1:
-            raise ValueError(f"ks counts liars and must be at least 1, not {k}; no liars is the attack {NOBODY!r}")
-        protocol.settings(k)
+            raise ValueError(f"ks counts attackers and must be at least 1, not {k}; none is the attack {NO_ATTACK!r}")
+        conditions.settings(k)
     if batch < 1:
         raise ValueError(f"batch must be at least 1 scene, not {batch}")
-    games = [(attack, k) for attack in attacks for k in ((0,) if attack == NOBODY else ks)]
+    games = [(attack, k) for attack in attacks for k in ((0,) if attack == NO_ATTACK else ks)]
     return [
-        Cell(defender, attack, k, seed, names)
-        for seed, names in product(seeds, _chunks(protocol.names, batch))
+        Run(defender, attack, k, seed, names)
+        for seed, names in product(seeds, _chunks(conditions.names, batch))
         for (attack, k), defender in product(games, defenders)
     ]
 
 
-def parse(spec: str) -> tuple[str, dict[str, Any]]:
-    """Name and knobs: `"prbi:threshold=calibrated,window=5"` is "prbi", {"threshold": "calibrated", "window": 5}.
-
-    The name may be where an outsider's class is: `"module:Class:knob=value"` is "module:Class", {"knob": "value"}.
-    """
-    name, _, rest = spec.partition(":")
-    attribute, _, behind = rest.partition(":")
-    if attribute.isidentifier():
-        name, rest = f"{name}:{attribute}", behind
-    knobs: dict[str, Any] = {}
-    for part in filter(None, rest.split(",")):
-        key, equals, value = part.partition("=")
-        if not (name and equals and key.isidentifier()):
-            raise ValueError(
-                f"cannot read {spec!r}: write name, module:Class, or either with knobs: name:knob=value,knob=value"
-            )
-        try:
-            knobs[key] = ast.literal_eval(value)
-        except (ValueError, SyntaxError):
-            knobs[key] = value
-    return name, knobs
-
-
-def outsider(name: str) -> tuple[str, str] | None:
-    """Module and attribute, if the name says where a class is ("module:Class", "package.module.Class")."""
-    module, _, attribute = name.replace(":", ".").rpartition(".")
-    return (module, attribute) if module else None
-
-
 @lru_cache
 def code_of(spec: str) -> int | None:
-    """Checksum of the file that holds an outsider's class; None for those that are known by name, or have no file."""
-    place = outsider(parse(spec)[0])
+    """Checksum of the file that holds a class of yours; None for known names, and for classes without a file."""
+    place = Spec.parse(spec).place
     try:
         found = find_spec(place[0]) if place else None
     except (ImportError, ValueError):
@@ -166,7 +154,7 @@ def code_of(spec: str) -> int | None:
 
 
 def file_words(words: str) -> str:
-    """Fit for the name of a file."""
+    """Text fit for a file name."""
     return "".join(c if c.isalnum() or c in "-_[]()+" else "_" for c in words)[:120]
 
 

@@ -1,4 +1,4 @@
-"""The table in Markdown and JSON, with all that is needed to make it again."""
+"""The report of a benchmark in Markdown and JSON, with all that is needed to make it again."""
 
 from __future__ import annotations
 
@@ -15,52 +15,65 @@ from rich.table import Table
 
 from cp_env.evaluation.analysis.summary import Row
 from cp_env.evaluation.plan.records import write_atomically
-from cp_env.evaluation.plan.runs import Protocol
+from cp_env.evaluation.plan.runs import Conditions
 from cp_env.metrics.intervals import Interval
 
 PACKAGES = ("cp-env", "torch", "numpy", "scipy", "gymnasium", "pettingzoo", "stable-baselines3")
 
-# heading, figure of a row, format, whether the short table has it
+# heading, metric of a row, format, whether the short table has it
 COLUMNS: tuple[tuple[str, str, str, bool], ...] = (
     ("AP@.5", "ap50", ".3f", True),
     ("AP@.7", "ap70", ".3f", True),
-    ("back", "recovery50", ".2f", True),
-    ("damage", "damage", ".1f", True),
-    ("looks/frame", "verifications", ".2f", False),
-    ("looks", "verifications_alarmed", ".2f", True),
-    ("most", "verifications_max", "d", True),
-    ("alarms", "alarms", ".2f", False),
-    ("sure", "converged", ".2f", False),
-    ("after", "frames_to_convergence", ".1f", True),
-    ("ID", "id_rate", ".2f", True),
-    ("MC", "mc_rate", ".2f", True),
+    ("AP recovery", "recovery50", ".2f", True),
+    ("detection loss/frame", "damage", ".3f", True),
+    ("verifications/frame", "verifications", ".2f", False),
+    ("verifications/alarm", "verifications_alarmed", ".2f", True),
+    ("max. verifications", "verifications_max", "d", True),
+    ("alarm rate", "alarm_rate", ".2f", False),
+    ("convergence rate", "convergence_rate", ".2f", False),
+    ("frames to convergence", "frames_to_convergence", ".1f", True),
+    ("ID rate (TPR)", "id_rate", ".2f", True),
+    ("MC rate (FPR)", "mc_rate", ".2f", True),
     ("fps", "frames_per_second", ".0f", True),
 )
 SHORT = tuple(column for column in COLUMNS if column[3])
+NARROW = {
+    "AP recovery": "AP\nrecov.",
+    "detection loss/frame": "loss\n/frame",
+    "verifications/alarm": "verif.\n/alarm",
+    "max. verifications": "max.\nverif.",
+    "frames to convergence": "frames\nto\nconv.",
+}
+"""Headings abbreviated for a terminal of eighty columns; the others break at their spaces."""
 
 INTERVALS = """\
 Mean and 95 % interval over scenes, each with all of its seeds: bootstrapped for AP
-and what comes back, Student's t elsewhere, cut at what is possible.
+and AP recovery, Student's t elsewhere, cut at what is possible.
 """
 
 GLOSSARY = """\
 * AP: of the output, pooled over frames; every vehicle in range counts, seen or not.
-  Counted strictly unless the conditions name another protocol.
-* back: share of the AP@.5 lost to the attack by an undefended ego that comes back.
-* damage: 1 - Jaccard to the unattacked output, summed over an episode.
-* looks: verifications in a frame with at least one; most: in any frame;
-  looks/frame: over all frames; alarms: share of frames with at least one.
-* sure: share of episodes in which the defender converged; after: frames of attack.
-* ID, MC: share of the liars, of the honest, accused when it converged or at the end.
-* fps: defended frames a second, the attacker's time left out.
+  Counted strictly unless the conditions name another AP protocol.
+* AP recovery: share of the AP@.5 that an undefended ego loses to the attack and the
+  defended one keeps.
+* detection loss/frame: damage, 1 - Jaccard to the unattacked output, mean over the
+  frames of an episode.
+* verifications/frame: over all frames; verifications/alarm: over the frames with at
+  least one; max. verifications: in any frame; alarm rate: share of frames with one.
+* convergence rate: share of episodes in which the defender converged; frames to
+  convergence: frames of attack until then.
+* ID rate (TPR), MC rate (FPR): share of the attackers, of the benign vehicles, flagged
+  when it converged or at the end.
+* fps: defended frames a second, the attack's time left out.
 
-Frames of grace, in which no perturbation acts, count for AP, damage and fps only.
+Frames of grace, in which no perturbation acts, count for AP, detection loss and fps
+only. Rankings leave them out of the detection loss, too.
 """
 
 
-def figure_text(row: Row, figure: str, spec: str, *, interval: bool) -> str:
-    """One figure as text: "0.812 [0.790, 0.833]" or "0.812", and "–" where it means nothing."""
-    value = getattr(row, figure)
+def metric_text(row: Row, metric: str, spec: str, *, interval: bool) -> str:
+    """One value as text: "0.812 [0.790, 0.833]" or "0.812", and "–" where it has no meaning."""
+    value = getattr(row, metric)
     if value is None:
         return "–"
     if not isinstance(value, Interval):
@@ -69,13 +82,13 @@ def figure_text(row: Row, figure: str, spec: str, *, interval: bool) -> str:
 
 
 def markdown(rows: Sequence[Row], *, short: bool = False) -> str:
-    """The table in Markdown: every figure with its interval, or the most telling ones without."""
+    """The table in Markdown: every value with its interval, or a short table without."""
     columns = SHORT if short else COLUMNS
     heads = ["defender", "attack", "k", *(column[0] for column in columns)]
     lines = ["| " + " | ".join(heads) + " |", "|---|---|" + "--:|" * (len(heads) - 2)]
     for row in rows:
-        figures = (figure_text(row, figure, spec, interval=not short) for _, figure, spec, _ in columns)
-        lines.append("| " + " | ".join([_name(row), row.attack, str(row.k), *figures]) + " |")
+        values = (metric_text(row, metric, spec, interval=not short) for _, metric, spec, _ in columns)
+        lines.append("| " + " | ".join([_name(row), row.attack, str(row.k), *values]) + " |")
     return "\n".join(lines) + "\n"
 
 
@@ -84,13 +97,13 @@ def screen(rows: Sequence[Row]) -> Table:
     made = Table(box=None, padding=(0, 1, 0, 0), pad_edge=False)
     made.add_column("", overflow="fold")
     for head, *_ in SHORT:
-        made.add_column(head, justify="right", no_wrap=True)
+        made.add_column(NARROW.get(head, head.replace(" ", "\n")), justify="right", no_wrap=True)
     for (attack, k), same in groupby(rows, key=lambda row: (row.attack, row.k)):
-        game = "nobody lies" if k == 0 else f"{attack}, {k} liar{'s' if k > 1 else ''}"
+        game = "no attack" if k == 0 else f"{attack}, {k} attacker{'s' if k > 1 else ''}"
         made.add_row()
         made.add_row(f"[bold]{game}[/bold]")
         for row in same:
-            made.add_row(_name(row), *(figure_text(row, figure, spec, interval=False) for _, figure, spec, _ in SHORT))
+            made.add_row(_name(row), *(metric_text(row, metric, spec, interval=False) for _, metric, spec, _ in SHORT))
     return made
 
 
@@ -98,26 +111,26 @@ def _name(row: Row) -> str:
     return row.defender + (f" ({row.n_errors} failed)" if row.n_errors else "")
 
 
-def about(protocol: Protocol, command: str, **notes: Any) -> dict[str, Any]:
+def about(conditions: Conditions, command: str, **notes: Any) -> dict[str, Any]:
     """The conditions, the versions and the machine."""
     return {
         "command": command,
-        "protocol": protocol.describe(),
+        "conditions": conditions.describe(),
         "versions": {"python": platform.python_version(), **{name: _version(name) for name in PACKAGES}},
         "machine": f"{platform.system()} {platform.machine()}",
         **notes,
     }
 
 
-def write_report(folder: Path, rows: Sequence[Row], conditions: dict[str, Any]) -> tuple[Path, Path]:
-    """`results.json` and `results.md` in `folder`; returns both paths."""
+def write_report(folder: Path, rows: Sequence[Row], provenance: dict[str, Any]) -> tuple[Path, Path]:
+    """Write `results.json` and `results.md` in `folder`; returns both paths."""
     json_path, markdown_path = folder / "results.json", folder / "results.md"
-    data = {"about": conditions, "rows": [asdict(row) for row in rows]}
+    data = {"about": provenance, "rows": [asdict(row) for row in rows]}
     write_atomically(json_path, json.dumps(data, indent=1) + "\n")
     size = f"{rows[0].n_scenes} scenes, {rows[0].n_episodes} episodes a row." if rows else "Nothing was played."
     parts = (
         markdown(rows, short=True),
-        f"```sh\n{conditions['command']}\n```\n",
+        f"```sh\n{provenance['command']}\n```\n",
         markdown(rows),
         f"{size} {INTERVALS}",
         GLOSSARY,

@@ -1,4 +1,4 @@
-"""A page in one file: style, script, pictures and films are inside, and nothing is fetched. All text is escaped."""
+"""A page in one file: style, script, images and videos are inside, and nothing is fetched. All text is escaped."""
 
 from __future__ import annotations
 
@@ -7,23 +7,23 @@ from collections.abc import Sequence
 from html import escape
 from pathlib import Path
 
-from cp_env.evaluation.report.tables import Entry, Heading, Sheet
+from cp_env.evaluation.report.tables import Entry, Heading, Table
 
 HERE = Path(__file__).parent
 POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
 """What the page may load: nothing but what it holds itself."""
 
 
-def table(sheet: Sheet) -> str:
+def table(content: Table) -> str:
     """A table whose headings sort it."""
     head = "".join(
-        f'<th scope="col"{_class(h)}><button type="button">{escape(h.text)}</button></th>' for h in sheet.headings
+        f'<th scope="col"{_class(h)}><button type="button">{escape(h.text)}</button></th>' for h in content.headings
     )
     body = "".join(
-        "<tr>" + "".join(_entry(h, e) for h, e in zip(sheet.headings, row, strict=True)) + "</tr>\n"
-        for row in sheet.rows
+        "<tr>" + "".join(_entry(h, e) for h, e in zip(content.headings, row, strict=True)) + "</tr>\n"
+        for row in content.rows
     )
-    title = f"<caption>{escape(sheet.caption)}</caption>" if sheet.caption else ""
+    title = f"<caption>{escape(content.caption)}</caption>" if content.caption else ""
     return f'<div class="wide"><table>{title}<thead><tr>{head}</tr></thead>\n<tbody>{body}</tbody></table></div>\n'
 
 
@@ -43,15 +43,17 @@ def section(title: str, *parts: str) -> str:
 
 
 def paragraph(text: str, kind: str = "") -> str:
+    """A paragraph of the page's style `kind`."""
     return f'<p class="{kind}">{escape(text)}</p>\n'
 
 
 def preformatted(text: str) -> str:
+    """Text whose lines and blanks stay as they are."""
     return f"<pre>{escape(text)}</pre>\n"
 
 
 def facts(pairs: Sequence[tuple[str, str]]) -> str:
-    """Names and what they stand for."""
+    """Names and their values."""
     return "<dl>" + "".join(f"<dt>{escape(name)}</dt><dd>{escape(what)}</dd>" for name, what in pairs) + "</dl>\n"
 
 
@@ -63,13 +65,13 @@ def picture(data: str | bytes, kind: str, alt: str, caption: str = "") -> str:
 
 
 def plot(svg: str, alt: str) -> str:
-    """A drawing that keeps its size on a narrow screen, where it is pushed aside instead."""
+    """A plot that keeps its size on a narrow screen, where it scrolls."""
     return f'<div class="wide plot">{picture(svg, "svg+xml", alt)}</div>\n'
 
 
-def films(figures: Sequence[str]) -> str:
-    """Pictures side by side, as many as there is room for."""
-    return f'<div class="films">{"".join(figures)}</div>\n'
+def videos(figures: Sequence[str]) -> str:
+    """Figures side by side, as many as there is room for."""
+    return f'<div class="videos">{"".join(figures)}</div>\n'
 
 
 def page(title: str, lead: str, sections: Sequence[tuple[str, Sequence[str]]]) -> str:

@@ -1,6 +1,6 @@
-"""The arena's pictures, as SVG. A colour is one defender and a marker one attack, in all of them.
+"""The arena's plots, as SVG. A colour is one defender and a marker one attack, in all of them.
 
-No window, no global state of matplotlib, no date in the file: the same figures give the same bytes.
+No window, no global state of matplotlib, no date in the file: the same values give the same bytes.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from matplotlib.figure import Figure
 
 from cp_env.evaluation.analysis.curves import AXES, Curve
 from cp_env.evaluation.analysis.summary import Row
-from cp_env.evaluation.analysis.worst_case import Standing
-from cp_env.evaluation.plan.runs import NOBODY
+from cp_env.evaluation.analysis.worst_case import Ranking
+from cp_env.evaluation.plan.runs import NO_ATTACK
 from cp_env.metrics.intervals import Interval
 
 MARKERS = "osD^vP*X<>pHd84hx+123"
@@ -37,7 +37,7 @@ Colours = Mapping[str, tuple[float, float, float]]
 
 
 def colours_of(defenders: Sequence[str]) -> Colours:
-    """One colour each: ten that are told apart easily, then steps of a wheel."""
+    """One colour for each defender: ten that are easy to distinguish, then steps of a wheel."""
     few = matplotlib.colormaps["tab10"].colors  # type: ignore[attr-defined]
     wheel = matplotlib.colormaps["hsv"](np.linspace(0, 1, len(defenders), endpoint=False))[:, :3]
     chosen = few if len(defenders) <= len(few) else [tuple(row) for row in wheel]
@@ -45,7 +45,7 @@ def colours_of(defenders: Sequence[str]) -> Colours:
 
 
 def trade_off(rows: Sequence[Row], colours: Colours) -> str:
-    """What a defence keeps (AP) against what it lets through (damage) and what it costs (verifications): means."""
+    """What a defence keeps (AP) against what it loses (damage) and what it costs (verifications): means."""
     attacks = list(dict.fromkeys(row.attack for row in rows))
     markers = {attack: MARKERS[i % len(MARKERS)] for i, attack in enumerate(attacks)}
     with matplotlib.rc_context(STYLE):
@@ -55,29 +55,29 @@ def trade_off(rows: Sequence[Row], colours: Colours) -> str:
             for axis, x in ((left, row.damage), (right, row.verifications)):
                 style = {"color": colours[row.defender], "marker": markers[row.attack], "ms": 7, "alpha": 0.8}
                 axis.plot(x.mean, row.ap50.mean, ls="none", **style)
-        left.set(ylim=(-0.02, 1.02), xlabel="damage (1 − Jaccard), summed over an episode", ylabel="AP@0.5")
-        right.set(xlabel="verifications a frame")
+        left.set(ylim=(-0.02, 1.02), xlabel="detection loss (1 − Jaccard)/frame", ylabel="AP@0.5")
+        right.set(xlabel="verifications/frame")
         for name, colour in colours.items():
             left.plot([], [], "o", color=colour, label=name)
         for attack, marker in markers.items():
-            right.plot([], [], marker, color="#555", label="nobody lies" if attack == NOBODY else attack)
+            right.plot([], [], marker, color="#555", label="no attack" if attack == NO_ATTACK else attack)
         _legend_below(figure, left, "defenders", "outside lower left")
         _legend_below(figure, right, "attacks", "outside lower right")
         return _svg(figure)
 
 
-def bars(standings: Sequence[Standing], colours: Colours | None, xlabel: str) -> str:
-    """Worst cases, best on top, with their intervals; the damage left, AP@0.5 right."""
-    names = [standing.entry for standing in standings]
+def bars(rankings: Sequence[Ranking], colours: Colours | None, xlabel: str) -> str:
+    """Worst cases with their intervals, best on top: damage on the left, AP@0.5 on the right."""
+    names = [ranking.entry for ranking in rankings]
     shades = ["#5b6b7f" if colours is None else colours[name] for name in names]
     with matplotlib.rc_context(STYLE):
         figure = _figure(11, 1.2 + 0.34 * len(names))
         axes = figure.subplots(1, 2, sharey=True)
-        for axis, figures, label in (
-            (axes[0], [s.damage for s in standings], f"damage a frame, {xlabel}"),
-            (axes[1], [s.ap50 for s in standings], f"AP@0.5 of a scene, {xlabel}"),
+        for axis, values, label in (
+            (axes[0], [s.damage for s in rankings], f"detection loss/frame, {xlabel}"),
+            (axes[1], [s.ap50 for s in rankings], f"AP@0.5 of a scene, {xlabel}"),
         ):
-            axis.barh(names, [f.mean for f in figures], xerr=_reach(figures), color=shades, capsize=3, height=0.7)
+            axis.barh(names, [f.mean for f in values], xerr=_reach(values), color=shades, capsize=3, height=0.7)
             axis.set(xlim=(0, 1), xlabel=label)
             axis.grid(axis="y", visible=False)
         axes[0].invert_yaxis()
@@ -85,20 +85,20 @@ def bars(standings: Sequence[Standing], colours: Colours | None, xlabel: str) ->
 
 
 def lines(curve: Curve, colours: Colours) -> str:
-    """The worst case along an axis: damage left, AP@0.5 right, one line a defender, dodged where they would hide."""
+    """Worst cases over an axis: damage on the left, AP@0.5 on the right; one line a defender, dodged."""
     with matplotlib.rc_context(STYLE):
         figure = _figure(11, 4.6)
         axes = figure.subplots(1, 2)
         named = isinstance(curve.values[0], str)
         x = np.arange(len(curve.values)) if named else np.array(curve.values, dtype=float)
         step = float(np.diff(x).min()) if len(x) > 1 else 1.0
-        for axis, figures, label in ((axes[0], curve.damage, "damage a frame"), (axes[1], curve.ap50, "AP@0.5")):
-            for number, (name, along) in enumerate(figures.items()):
-                dodge = (number - (len(figures) - 1) / 2) * 0.035 * step
+        for axis, values, label in ((axes[0], curve.damage, "detection loss/frame"), (axes[1], curve.ap50, "AP@0.5")):
+            for number, (name, intervals) in enumerate(values.items()):
+                dodge = (number - (len(values) - 1) / 2) * 0.035 * step
                 axis.errorbar(
                     x + dodge,
-                    [f.mean for f in along],
-                    _reach(along),
+                    [f.mean for f in intervals],
+                    _reach(intervals),
                     color=colours[name],
                     marker="o",
                     ls="none" if named else "-",
@@ -107,7 +107,7 @@ def lines(curve: Curve, colours: Colours) -> str:
                     elinewidth=0.8,
                     label=name,
                 )
-            axis.set(ylim=(-0.02, 1.02), xlabel=AXES[curve.axis], ylabel=f"{label}, worst attack of each scene")
+            axis.set(ylim=(-0.02, 1.02), xlabel=AXES[curve.axis], ylabel=f"{label},\nworst attack of each scene")
             axis.set_xticks(x, [str(value) for value in curve.values])
         _legend_below(figure, axes[0], "defenders", "outside lower center")
         return _svg(figure)
@@ -125,9 +125,9 @@ def _legend_below(figure: Figure, axis: Axes, title: str, where: Any) -> None:
     figure.legend(handles, labels, title=title, loc=where, ncols=columns, fontsize="small", alignment="left")
 
 
-def _reach(figures: Sequence[Interval]) -> np.ndarray:
+def _reach(values: Sequence[Interval]) -> np.ndarray:
     """How far the intervals reach below and above their means."""
-    return np.array([[f.mean - f.low for f in figures], [f.high - f.mean for f in figures]]).clip(0)
+    return np.array([[f.mean - f.low for f in values], [f.high - f.mean for f in values]]).clip(0)
 
 
 def _svg(figure: Figure) -> str:

@@ -1,4 +1,4 @@
-"""An episode as pictures, and which episodes are worth one."""
+"""Videos of episodes, and the worst episode of each defender."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from pathlib import Path
 
 from cp_env.evaluation.analysis.worst_episodes import Worst
 from cp_env.evaluation.execution.processes import Failure
-from cp_env.evaluation.execution.rollout import Stage
-from cp_env.evaluation.execution.workers import Crew, MakeAttacker
+from cp_env.evaluation.execution.rollout import Rollout
+from cp_env.evaluation.execution.workers import MakeAttack, Workers
 from cp_env.evaluation.plan.records import write_atomically
-from cp_env.evaluation.plan.runs import Cell, Protocol, parse
+from cp_env.evaluation.plan.runs import Conditions, Run
 from cp_env.rendering.camera import Camera
 from cp_env.rendering.frame import RIGHT, TOP, Image3, write_gif
 from cp_env.world.scene_cache import SceneBank
@@ -20,35 +20,36 @@ from cp_env.world.scene_cache import SceneBank
 FPS = 2.5
 
 
-def film(
-    cell: Cell, protocol: Protocol, bank: SceneBank, make_attacker: MakeAttacker, frames: int | None = None
+def render_episode(
+    run: Run, conditions: Conditions, bank: SceneBank, make_attack: MakeAttack, frames: int | None = None
 ) -> list[Image3]:
-    """The first scene of the cell, frame by frame, to its end or for `frames`."""
-    name, knobs = parse(cell.attack)
-    stage = Stage(replace(cell, names=cell.names[:1]), protocol, bank, make_attacker(name, **knobs))
-    camera, pictures = Camera(stage.world), []
+    """The first scene of the run, frame by frame, to its end or for `frames`."""
+    rollout = Rollout(replace(run, names=run.names[:1]), conditions, bank, make_attack(run.attack))
+    camera, pictures = Camera(rollout.world), []
     while True:
-        outcome = stage.move()
-        camera.watch(outcome)
-        pictures.append(camera.shoot())
+        outcome = rollout.step()
+        camera.record(outcome)
+        pictures.append(camera.render())
         if outcome.truncated[0] or len(pictures) == frames:
             return pictures
 
 
-def shoot(worst: Mapping[str, Worst], protocol: Protocol, crew: Crew) -> Iterator[str]:
-    """Film those episodes that are not filmed yet: every other frame, the defended half of the picture. Hands out the
-    defender's name when its film is there; one that cannot be filmed is left out."""
+def render_videos(worst: Mapping[str, Worst], conditions: Conditions, workers: Workers) -> Iterator[str]:
+    """Render the videos that are missing: every other frame, the defended half of the image.
+
+    Yields the name of each defender whose video is there; a video that cannot be rendered is left out.
+    """
     todo = {name: one for name, one in worst.items() if not one.gif.is_file()}
     yield from (name for name in worst if name not in todo)
     names = list(todo)
-    for number, film_of in crew.each(_shoot, [(todo[name].cell, protocol, crew) for name in names]):
-        if not isinstance(film_of, Failure):
-            write_atomically(todo[names[number]].gif, film_of)
+    for number, video in workers.each(_render_video, [(todo[name].run, conditions, workers) for name in names]):
+        if not isinstance(video, Failure):
+            write_atomically(todo[names[number]].gif, video)
             yield names[number]
 
 
-def _shoot(cell: Cell, protocol: Protocol, crew: Crew) -> bytes:
-    pictures = film(cell, protocol, crew.open_bank(protocol), crew.make_attacker)
+def _render_video(run: Run, conditions: Conditions, workers: Workers) -> bytes:
+    pictures = render_episode(run, conditions, workers.open_bank(conditions), workers.make_attack)
     with tempfile.TemporaryDirectory() as folder:
         halves = [picture[TOP - 30 :, RIGHT - 8 :] for picture in pictures[::2]]
-        return write_gif(halves, Path(folder) / "film.gif", fps=FPS).read_bytes()
+        return write_gif(halves, Path(folder) / "video.gif", fps=FPS).read_bytes()

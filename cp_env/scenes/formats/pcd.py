@@ -23,6 +23,8 @@ ENCODINGS = ("ascii", "binary")
 
 @dataclass(frozen=True)
 class Header:
+    """What the header of a file says."""
+
     row: np.dtype  # one point: field names and types, in the order of the file
     points: int
     data: str  # "ascii" | "binary" | "binary_compressed"
@@ -48,7 +50,7 @@ def read(path: Path) -> Float32[np.ndarray, "P 3"]:
 
 
 def write(path: Path, points: Float[np.ndarray, "P 3"], *, data: str = "binary") -> None:
-    """Store `points`, m, with a colour of 0 beside each: readers that take intensity from the colour find it.
+    """Store `points`, m, with a colour of 0 for each: readers that take intensity from the colour find it.
 
     Raises:
         ValueError: unknown encoding.

@@ -46,7 +46,7 @@ def write(path: Path, scene: Scene) -> None:
         "rsu": np.round(np.atleast_1d([] if scene.rsu is None else scene.rsu) / _LENGTH).astype(np.int32),
         "obstacles": np.round(scene.obstacles / _BOX).astype(np.int32),
     }
-    with open(path, "wb") as file:  # not a path: numpy would append a suffix to it
+    with path.open("wb") as file:  # not a path: numpy would append a suffix to it
         np.savez_compressed(file, **arrays)
 
 

@@ -21,7 +21,7 @@ from jaxtyping import Float, Float32
 from tqdm import tqdm
 
 from cp_env.geometry.planar import compose, invert
-from cp_env.lidar.returns import handed_over, standing
+from cp_env.lidar.returns import standing, to_world_axes
 from cp_env.scenes.errors import BrokenData, sift
 from cp_env.scenes.formats import pcd
 from cp_env.scenes.opv2v.axes import from_carla, mirrored, planar
@@ -42,7 +42,7 @@ _KEPT = 16  # scenes whose poses stay in memory; a hundred frames of five agents
 
 
 @dataclass(frozen=True, eq=False)
-class Reel:
+class FrameSequence:
     """A scene, and what it takes to read its sweeps; agents are its connected vehicles, then its road-side unit."""
 
     scene: Scene
@@ -104,7 +104,7 @@ class OPV2V:
         self.root = Path(path) / split
         self.name = f"opv2v/{split or self.root.name}"
         self.stride, self.tick, self.poses, self.noise, self.seed = stride, tick, poses, noise, seed
-        self._reels: OrderedDict[str, Reel] = OrderedDict()
+        self._sequences: OrderedDict[str, FrameSequence] = OrderedDict()
         folders = scenarios(self.root)
         if unknown := sorted(set(scenes) - set(folders)):
             raise ValueError(f"unknown scenes {', '.join(unknown)} in {self.root}; known: {', '.join(folders)}")
@@ -124,7 +124,7 @@ class OPV2V:
         self.digest = self._digest()
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_reels": OrderedDict()}
+        return {**self.__dict__, "_sequences": OrderedDict()}
 
     def _digest(self) -> str:
         """Changes with every option that sweeps depend on, and with name, size or time of any file that is read."""
@@ -150,7 +150,7 @@ class OPV2V:
             BrokenData: a file is broken.
             ValueError: unknown name.
         """
-        return self._reel(name).scene
+        return self._sequence(name).scene
 
     def sweeps(self, scene: Scene, frames: Sequence[int]) -> list[list[Sweep]]:
         """`[frame][agent]`: the connected vehicles in order, then the road-side unit if there is one.
@@ -158,26 +158,26 @@ class OPV2V:
         A sweep's `origin` is the middle of the box of the vehicle that carries the sensor, at the sensor's height:
         grid frames begin at vehicles, and OPV2V's sensors stand half a metre behind the middle of theirs.
         """
-        reel = self._reel(scene.name)
-        return [[_sweep(reel, int(t), agent) for agent in range(len(reel.files[0]))] for t in frames]
+        sequence = self._sequence(scene.name)
+        return [[_sweep(sequence, int(t), agent) for agent in range(len(sequence.files[0]))] for t in frames]
 
     def _read_through(self, name: str) -> None:
-        reel = self._reel(name)
-        for files in tqdm(reel.files, f"checking {name}", leave=False, unit="frame"):
+        sequence = self._sequence(name)
+        for files in tqdm(sequence.files, f"checking {name}", leave=False, unit="frame"):
             for file in files:
                 _points(file)
 
-    def _reel(self, name: str) -> Reel:
+    def _sequence(self, name: str) -> FrameSequence:
         if name not in self._scenarios:
             raise ValueError(f"unknown scene {name!r}; {self.name} holds {', '.join(self._names)}")
-        if name not in self._reels:
-            self._reels[name] = self._build(self._scenarios[name])
-        self._reels.move_to_end(name)
-        while len(self._reels) > _KEPT:
-            self._reels.popitem(last=False)
-        return self._reels[name]
+        if name not in self._sequences:
+            self._sequences[name] = self._build(self._scenarios[name])
+        self._sequences.move_to_end(name)
+        while len(self._sequences) > _KEPT:
+            self._sequences.popitem(last=False)
+        return self._sequences[name]
 
-    def _build(self, scenario: Scenario) -> Reel:
+    def _build(self, scenario: Scenario) -> FrameSequence:
         step = scenario.ticks * self.tick
         stride = self.stride or max(1, round(1 / (RATE * step)))
         numbers = scenario.numbers[::stride]
@@ -193,7 +193,7 @@ class OPV2V:
             scene = replace(scene, rsu=mast)
         files = tuple(tuple(scenario.file(agent, number, ".pcd") for agent in scenario.agents) for number in numbers)
         believed = place + self._error(scenario, numbers, notes, place)
-        return Reel(scene, files, world_T_lidar, ground, believed, place)
+        return FrameSequence(scene, files, world_T_lidar, ground, believed, place)
 
     def _error(
         self, scenario: Scenario, numbers: Sequence[str], notes: list[list[Note]], place: Float[np.ndarray, "T A 3"]
@@ -293,15 +293,15 @@ def _points(file: Path) -> Float32[np.ndarray, "P 3"]:
     return points
 
 
-def _sweep(reel: Reel, t: int, agent: int) -> Sweep:
-    world_T_lidar, place, scene = reel.world_T_lidar[t, agent], reel.place[t, agent], reel.scene
-    origin = np.append(place[:2], world_T_lidar[2, 3] - reel.ground[t, agent])
-    shift = world_T_lidar[:, 3] - [*place[:2], reel.ground[t, agent]]
+def _sweep(sequence: FrameSequence, t: int, agent: int) -> Sweep:
+    world_T_lidar, place, scene = sequence.world_T_lidar[t, agent], sequence.place[t, agent], sequence.scene
+    origin = np.append(place[:2], world_T_lidar[2, 3] - sequence.ground[t, agent])
+    shift = world_T_lidar[:, 3] - [*place[:2], sequence.ground[t, agent]]
     boxes = standing(scene, t, place[:2])
     own = int(scene.connected[agent]) if agent < scene.n_connected else None
     turn = mirrored(world_T_lidar[:, :3])  # takes points as the file stores them
-    points, hits = handed_over(_points(reel.files[t][agent]), turn, shift, boxes, own)
-    error = reel.believed[t, agent] - place
+    points, hits = to_world_axes(_points(sequence.files[t][agent]), turn, shift, boxes, own)
+    error = sequence.believed[t, agent] - place
     if error.any():
         astray = np.array([[np.cos(error[2]), np.sin(error[2])], [-np.sin(error[2]), np.cos(error[2])]])
         points[:, :2] = points[:, :2] @ astray.astype(np.float32) + error[:2].astype(np.float32)

@@ -1,7 +1,7 @@
-"""A look at any source: a film of what all sensors see from above, and figures of who sees whom.
+"""Previews of any source: a GIF of what all sensors see from above, and figures of how often vehicles are seen.
 
-Convention: the film follows the ego; x points east (right), y north (up), as in `cp_env.types`; m. A box's line points
-to its front, so that points beside their box, a mirrored axis or a turned heading show at once.
+Convention: the GIF follows the ego; x points east (right), y north (up), as in `cp_env.types`; m. A box's line points
+to its front, so that points outside their box, a mirrored axis or a turned heading show at once.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ UNIT: Colour = (255, 80, 80)
 
 @dataclass(frozen=True, eq=False)
 class Figures:
-    """What the sensors of one scene see, over the frames looked at."""
+    """What the sensors of one scene see, over the frames used."""
 
     scene: Scene
     frames: Int[np.ndarray, " F"]
@@ -97,7 +97,7 @@ def _reach(sweep: Sweep) -> float:
 def draw(scene: Scene, frame: int, sweeps: Sequence[Sweep], *, extent: float = 48.0) -> Image3:
     """One frame from above, ±`extent` m round the ego."""
     ego = scene.pose[frame, scene.connected[0], :2]
-    canvas = np.array(_sheet(extent))
+    canvas = np.array(_background(extent))
     colours = [UNIT if k == scene.n_connected else AGENTS[k % len(AGENTS)] for k in range(len(sweeps))]
     for sweep, colour in reversed(list(zip(sweeps, colours, strict=True))):  # the ego's points on top
         cells = _pixels(sweep.points[:, :2] + (sweep.origin[:2] - ego).astype(sweep.points.dtype), extent).astype(int)
@@ -136,7 +136,7 @@ def write_gif(shots: Sequence[Image.Image], out: Path, *, seconds: float) -> Non
 
 
 def spec_of(text: str) -> str:
-    """What names the source that a path or a name stands for: a folder or file is looked at, the rest is left alone.
+    """The name of the source that a path or a name stands for: a path is inspected, the rest is returned as it is.
 
     Raises:
         ValueError: a path to something of no known kind.
@@ -232,7 +232,7 @@ def _words(
         x += 45 + round(pen.textlength(name, _font(12)))
 
 
-def _sheet(extent: float) -> Image.Image:
+def _background(extent: float) -> Image.Image:
     """Grid and axes."""
     image = Image.new("RGB", SIZE, GROUND)
     pen = ImageDraw.Draw(image)

@@ -1,4 +1,4 @@
-"""Figures of recorded scenes: how many vehicles, how many of them parked, standing or hidden; how calm a street."""
+"""Figures of recorded scenes: vehicles, shares parked, standing and hidden, similarity of consecutive frames."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def sight(scene: Scene, frames: Sequence[int]) -> Float[np.ndarray, " 3"]:
         hits[np.arange(scene.n_connected), scene.connected] = True  # the carrier knows where it is
         rows = rows_in_range(scene, frame, ego, EXTENT)
         total += len(rows)
-        seen += [hits[:crew, rows].any(axis=0).sum() for crew in (1, 5, len(hits))]
+        seen += [hits[:n_sensors, rows].any(axis=0).sum() for n_sensors in (1, 5, len(hits))]
     return seen / max(total, 1)
 
 

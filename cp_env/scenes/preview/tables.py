@@ -27,7 +27,7 @@ def _table(title: str, *columns: str) -> Table:
 def _scene(figures: Figures) -> Table:
     scene = figures.scene
     there = ~np.isnan(figures.seen)
-    table = _table(f"{scene.name}: {len(figures.frames)} of {scene.n_frames} frames looked at", "", "")
+    table = _table(f"{scene.name}: {len(figures.frames)} of {scene.n_frames} frames used", "", "")
     table.columns[1].justify = "left"
     unit = "no road-side unit" if scene.rsu is None else f"and a road-side unit {scene.rsu[2]:.1f} m up"
     table.add_row("agents", f"{scene.n_connected} connected vehicles {unit}")

@@ -1,4 +1,4 @@
-"""From a drive through a network to a scene: choose a cast, furnish the streets round it, keep what is near."""
+"""Build a scene from a drive through a network: select vehicles, furnish the streets round them, keep what is near."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from cp_env.types import Scene
 REACH = 90.0  # m round the ego's path: what is farther off is not kept
 CROWD = {"urban": (120, 200), "suburban": (80, 140), "intersection": (40, 85)}  # vehicles at once in the network
 TRIES = 12
-AUDITIONS = 7  # casts of one drive that are furnished and compared
-ALONE, FIVE = 0.52, 0.97  # share of vehicles in range seen by the ego alone, by five: what an audition looks for
+COMPARED = 7  # selections of one drive that are furnished and compared
+ALONE, FIVE = 0.52, 0.97  # share of vehicles in range seen by the ego alone, by five: what the comparison asks for
 
 
 def record(name: str, kind: str, seed: int) -> Scene:
@@ -33,42 +33,44 @@ def record(name: str, kind: str, seed: int) -> Scene:
         with tempfile.TemporaryDirectory() as folder:
             town = build_streets(*draw_streets(kind, rng), Path(folder))
             tracks = traffic.drive(town, Path(folder), rng, crowd=int(rng.integers(*CROWD[kind])))
-        casts = selection.candidates(tracks, town, rng, AUDITIONS)
-        scenes = [stage(name, kind, town, tracks, cast, rng) for cast in casts]
-        auditions = [
-            (_merit(scene, cast), scene) for scene, cast in zip(scenes, casts, strict=True) if scene is not None
+        selections = selection.candidates(tracks, town, rng, COMPARED)
+        scenes = [build_scene(name, kind, town, tracks, selected, rng) for selected in selections]
+        compared = [
+            (_merit(scene, selected), scene)
+            for scene, selected in zip(scenes, selections, strict=True)
+            if scene is not None
         ]
-        if auditions:
-            return max(auditions, key=lambda audition: audition[0])[1]
+        if compared:
+            return max(compared, key=lambda pair: pair[0])[1]
     raise RuntimeError(f"scene {name!r}: no window with enough vehicles in radio range in {TRIES} networks")
 
 
-def _merit(scene: Scene, cast: selection.Cast) -> float:
+def _merit(scene: Scene, selected: selection.VehicleSelection) -> float:
     """High where the ego alone misses much and five together see nearly all: what the scenes are for."""
     alone, five, _ = sight(scene, range(10, selection.FRAMES, 27))
-    return float(0.12 * cast.value - abs(alone - ALONE) - 3 * max(0.0, FIVE - five))
+    return float(0.12 * selected.value - abs(alone - ALONE) - 3 * max(0.0, FIVE - five))
 
 
-def stage(
+def build_scene(
     name: str,
     kind: str,
     town: Streets,
     tracks: traffic.Tracks,
-    cast: selection.Cast,
+    selected: selection.VehicleSelection,
     rng: np.random.Generator,
     buildings: Float[np.ndarray, "B 6"] | None = None,
 ) -> Scene | None:
-    """Furnish the streets round one cast; None if SUMO drove two of the connected through each other.
+    """Furnish the streets round one selection; None if SUMO drove two of the connected through each other.
 
     Args:
-        kind: "urban", "suburban" or "intersection": what stands beside the streets.
+        kind: "urban", "suburban" or "intersection": what stands along the streets.
         buildings: boxes that stand there instead of houses.
     """
-    pose = tracks.pose[cast.start : cast.start + selection.FRAMES].copy()
-    path = pose[:, cast.connected[0], :2]
+    pose = tracks.pose[selected.start : selected.start + selection.FRAMES].copy()
+    path = pose[:, selected.connected[0], :2]
     pose[np.linalg.norm(pose[:, :, None, :2] - path[None, None, ::10], axis=-1).min(axis=2) > REACH] = np.nan
-    kept = _peaceful(pose, tracks.size, cast.connected)
-    if not np.isin(cast.connected, kept).all():
+    kept = _peaceful(pose, tracks.size, selected.connected)
+    if not np.isin(selected.connected, kept).all():
         return None
     pose, size = pose[:, kept], tracks.size[kept]
     still = roadside.furnish(town, kind, path, _swept(pose, size), rng, REACH, buildings)
@@ -79,7 +81,7 @@ def stage(
         dt=traffic.DT,
         pose=np.concatenate([pose, parked], axis=1),
         size=np.concatenate([size, still.size]),
-        connected=np.searchsorted(kept, cast.connected),
+        connected=np.searchsorted(kept, selected.connected),
         rsu=roadside.place_rsu(town, still, path, rng) if len(town.junctions) else None,
         obstacles=still.obstacles,
     )

@@ -42,15 +42,15 @@ class Files:
 def find(path: Path) -> Files:
     """The files that a `.sumocfg` or a `.net.xml` (or either packed: `.gz`) stands for.
 
-    Polygons are the configuration's additional file called `*.poly.xml`, or `NAME.poly.xml` beside `NAME.net.xml`.
+    Polygons are the configuration's additional file called `*.poly.xml`, or `NAME.poly.xml` next to `NAME.net.xml`.
 
     Raises:
         BrokenData: a file is missing or no XML, or the configuration names no network.
     """
     root = parse(path)
     if root.tag == "net":
-        beside = [path.with_name(f"{path.name.split('.')[0]}.poly.xml{packed}") for packed in ("", ".gz")]
-        polygons = next((file for file in beside if file.exists()), None)
+        candidates = [path.with_name(f"{path.name.split('.')[0]}.poly.xml{packed}") for packed in ("", ".gz")]
+        polygons = next((file for file in candidates if file.exists()), None)
         return Files(None, path, polygons, (path, *filter(None, [polygons])))
     if root.tag not in ("configuration", "sumoConfiguration"):
         raise BrokenData(path, f"is neither a network nor a configuration of SUMO but a <{root.tag}>")
@@ -82,7 +82,7 @@ def parse(path: Path) -> ET.Element:
         BrokenData: it is missing or no XML.
     """
     try:
-        with gzip.open(path) if path.suffix == ".gz" else open(path, "rb") as file:
+        with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as file:
             return ET.parse(file).getroot()
     except OSError as error:
         raise BrokenData(path, f"cannot be read: {error.strerror or error}") from error

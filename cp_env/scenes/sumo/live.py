@@ -1,4 +1,4 @@
-"""Scenes without end: SUMO drives while we look on.
+"""Scenes without end, simulated by SUMO.
 
     open_source("sumo:urban?seed=3")
     open_source("sumo:/data/ingolstadt.sumocfg?density=0.8&share=0.3")
@@ -30,6 +30,7 @@ from cp_env.scenes.sumo import build, config, selection, traffic
 from cp_env.scenes.sumo.network import Streets, build_streets, draw_streets, read_network
 from cp_env.scenes.sumo.roadside import STYLES
 from cp_env.scenes.sumo.traffic import Tracks
+from cp_env.scenes.sumo.vehicle_sizes import draw_sizes
 from cp_env.scenes.town import KINDS
 from cp_env.types import Scene, Sweep
 
@@ -38,9 +39,9 @@ VERSION = 2
 
 SECONDS = 40.0  # s kept of each simulation, to choose the 20 s of a scene from
 TRIES = 12
-CASTS = 3  # tried at each place
+SELECTIONS = 3  # tried at each place
 JUMP = 14.0  # m in a frame, 250 km/h: what moves farther was moved by SUMO
-AROUND = 270.0  # m: of a large network only what is so near to the place of the scene is looked at
+AROUND = 270.0  # m: of a large network only what is so near to the place of the scene is used
 PLACES = 3  # tried in each simulation
 CROWD = 400  # vehicles: where more would drive through a bare network, they do so only round one place
 DRIVEN = 420.0  # m: so far from it
@@ -62,11 +63,11 @@ class LiveSumo:
             kilometre of lane of a bare network, on the shipped scenes' crowd for drawn streets.
         share: of the moving vehicles that have a radio, and so may be connected.
         vehicles: every scene has at least so many connected vehicles; at most 8, or `vehicles` if that is more.
-        furnish: what stands beside the streets: "urban", "suburban", "intersection" (parked cars, houses, fences,
+        furnish: what stands along the streets: "urban", "suburban", "intersection" (parked cars, houses, fences,
             trunks) or "none". Drawn streets have their own.
         polygons: file of the buildings, which then take the place of houses; by default the one that the configuration
-            names, or that lies beside the network.
-        warm_up: s simulated before anything is looked at.
+            names, or that lies next to the network.
+        warm_up: s simulated before anything is recorded.
 
     Raises:
         BrokenData: a file is missing or no XML.
@@ -170,7 +171,7 @@ class LiveSumo:
                 town, tracks = self._drive(Path(folder), rng)
             for _ in range(1 if self._drawn else PLACES):
                 place = (town, tracks) if self._drawn else self._focus(town, tracks, rng)
-                scene = self._stage(name, *place, rng)
+                scene = self._build_scene(name, *place, rng)
                 if scene is not None:
                     return scene
         raise ValueError(
@@ -192,7 +193,7 @@ class LiveSumo:
             if self._crowd(network) > CROWD:
                 network = _quarter(network, rng)
             crowd = self._crowd(network)
-            sizes = traffic.draw_sizes(traffic.N_TYPES, rng, parked=False)
+            sizes = draw_sizes(traffic.N_TYPES, rng, parked=False)
             routes = folder / "trips.rou.xml"
             config.write_demand(routes, network, sizes, rng, crowd, self._warm_up + SECONDS)
             command += ["-n", str(network.net), "-r", str(routes), "--max-num-vehicles", str(crowd)]
@@ -219,21 +220,21 @@ class LiveSumo:
         town = replace(network, lanes=lanes, junctions=junctions, carriageway=carriageway, centre=centre, radius=radius)
         return town, Tracks(tracks.pose[:, near], tracks.size[near])
 
-    def _stage(self, name: str, town: Streets, tracks: Tracks, rng: np.random.Generator) -> Scene | None:
+    def _build_scene(self, name: str, town: Streets, tracks: Tracks, rng: np.random.Generator) -> Scene | None:
         radios = np.flatnonzero(rng.random(len(tracks.size)) < self._share)
         listening = Tracks(tracks.pose[:, radios], tracks.size[radios])
         kind = self._drawn or self._furnish
         buildings = np.zeros((0, 6)) if self._buildings is None and kind == "none" else self._buildings
-        for cast in selection.candidates(listening, town, rng, CASTS, least=self._least):
-            chosen = replace(cast, connected=radios[cast.connected])
-            scene = build.stage(name, kind, town, tracks, chosen, rng, buildings)
+        for selected in selection.candidates(listening, town, rng, SELECTIONS, least=self._least):
+            chosen = replace(selected, connected=radios[selected.connected])
+            scene = build.build_scene(name, kind, town, tracks, chosen, rng, buildings)
             if scene is not None:
                 return scene
         return None
 
 
 def _quarter(network: Streets, rng: np.random.Generator) -> Streets:
-    """What lies within `DRIVEN` of a street drawn at random: who drives farther off is never seen by a scene there."""
+    """What lies within `DRIVEN` of a street drawn at random: vehicles farther off are never seen by a scene there."""
     streets = [lane for lane in network.lanes if not lane.internal]
     length = np.array([np.linalg.norm(np.diff(lane.shape, axis=0), axis=1).sum() for lane in streets])
     centre = streets[rng.choice(len(streets), p=length / length.sum())].shape.mean(axis=0)

@@ -43,6 +43,8 @@ class Plan:
 
 @dataclass(frozen=True)
 class Lane:
+    """One lane of a street or of a junction."""
+
     edge: str
     index: int  # 0 is the rightmost for cars
     shape: Float[np.ndarray, "P 2"]
@@ -61,7 +63,7 @@ class Streets:
     sources: list[str]
     sinks: list[str]
     centre: Float[np.ndarray, " 2"]
-    radius: float  # m: the ego stays this near the centre, so that entering traffic does not pop up beside it
+    radius: float  # m: the ego stays this near the centre, so that entering traffic does not pop up next to it
 
 
 def draw_streets(kind: str, rng: np.random.Generator) -> tuple[Plan, float]:
@@ -176,7 +178,7 @@ def read_network(net: Path, radius: float) -> Streets:
     Raises:
         OSError, ET.ParseError: the file cannot be read.
     """
-    with gzip.open(net) if net.suffix == ".gz" else open(net, "rb") as file:
+    with gzip.open(net) if net.suffix == ".gz" else net.open("rb") as file:
         root = ET.parse(file).getroot()
     lanes = []
     for edge in root.iter("edge"):

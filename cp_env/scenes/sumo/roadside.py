@@ -21,7 +21,7 @@ from cp_env.scenes.sumo.vehicle_sizes import draw_sizes
 
 STRIP = 2.3  # m: depth of a row of cars parked along the kerb
 BAY = 5.4  # m: depth of a row of cars parked across it
-PAVEMENT = 1.8  # m: free of buildings, beside the road or the parked row
+PAVEMENT = 1.8  # m: free of buildings, along the road or the parked row
 LONGEST_ACROSS = 6.2  # m: what is longer does not park across the kerb
 
 Boxes = list[np.ndarray]  # rows x, y, yaw, length, width, height
@@ -46,7 +46,7 @@ STYLES = {
     "urban": Style(0.86, 0.12, (0.2, 2.0), (9, 22), (0.0, 2.5), (8, 20), 0.15, 0.03, 0.1),
     "suburban": Style(0.62, 0.10, (2.5, 6.0), (9, 14), (3.0, 8.0), (4, 8), 0.80, 0.05, 0.7),
     "intersection": Style(0.82, 0.18, (0.5, 4.0), (12, 26), (0.5, 6.0), (6, 18), 0.30, 0.03, 0.1),
-    "none": Style(0.0, 0.0, (0.5, 4.0), (12, 26), (0.5, 6.0), (6, 18), 0.0, 0.0, 0.0),  # beside given buildings
+    "none": Style(0.0, 0.0, (0.5, 4.0), (12, 26), (0.5, 6.0), (6, 18), 0.0, 0.0, 0.0),  # between given buildings
 }
 
 
@@ -78,6 +78,8 @@ class Kerb:
 
 @dataclass(frozen=True)
 class Layout:
+    """What stands along the streets of a scene."""
+
     pose: Float[np.ndarray, "P 3"]  # parked vehicles
     size: Float[np.ndarray, "P 3"]
     obstacles: Float[np.ndarray, "B 6"]

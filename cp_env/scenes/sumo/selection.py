@@ -1,4 +1,4 @@
-"""Who plays in a scene: twenty seconds of a longer drive, an ego, and the vehicles that stay in radio range of it."""
+"""Selection of a scene: twenty seconds of a longer drive, an ego, and the vehicles that stay in radio range of it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _STRIDE = 15  # frames between the starts of windows tried
 
 
 @dataclass(frozen=True)
-class Cast:
+class VehicleSelection:
     """Frames [start, start + FRAMES) and the track rows of the connected vehicles, the ego first."""
 
     value: float  # the higher the more promising
@@ -28,29 +28,29 @@ class Cast:
 
 def candidates(
     tracks: Tracks, streets: Streets, rng: np.random.Generator, most: int, *, least: int = LEAST
-) -> list[Cast]:
-    """Up to `most` casts, the most promising first, from different windows; none if no vehicle ever has enough company.
+) -> list[VehicleSelection]:
+    """Up to `most` selections, the most promising first, from different windows; none without enough vehicles in range.
 
-    A cast has at least `least` vehicles and at most `MOST`, or `least` if that is more.
+    A selection has at least `least` vehicles and at most `MOST`, or `least` if that is more.
 
     Good are: four partners at 20-35 m that spread out, some company in sight, an ego that drives about as far as the
     scene was drawn to see (from hardly at all to a whole street).
     """
     travel = rng.choice([0.0, 20.0, 35.0, 50.0], p=[0.15, 0.3, 0.3, 0.25])
-    found: list[Cast] = []
+    found: list[VehicleSelection] = []
     for start in range(0, len(tracks.pose) - FRAMES + 1, _STRIDE):
         window = tracks.pose[start : start + FRAMES : 9, :, :2]  # every ninth frame is enough to judge by
         here = np.flatnonzero(~np.isnan(tracks.pose[start : start + FRAMES, :, 0]).any(axis=0))
         place = window[:, here]
         gap = np.linalg.norm(place[:, :, None] - place[:, None], axis=-1)
-        casts = []
+        selections = []
         for ego in np.flatnonzero(_central(place, streets)).tolist():
             partners = _partners(gap, ego, least)
             if len(partners) >= least - 1:
                 value = _value(place, gap, ego, partners, travel) + rng.normal(0, 0.3)
-                casts.append(Cast(value, start, here[[ego, *partners[: max(MOST, least) - 1]]]))
-        found += sorted(casts, key=lambda cast: -cast.value)[:2]
-    return sorted(found, key=lambda cast: -cast.value)[:most]
+                selections.append(VehicleSelection(value, start, here[[ego, *partners[: max(MOST, least) - 1]]]))
+        found += sorted(selections, key=lambda selected: -selected.value)[:2]
+    return sorted(found, key=lambda selected: -selected.value)[:most]
 
 
 def _central(place: Float[np.ndarray, "t v 2"], streets: Streets) -> Bool[np.ndarray, " v"]:

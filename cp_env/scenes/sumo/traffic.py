@@ -37,7 +37,7 @@ _ONE_AT_A_TIME = threading.Lock()
 
 @dataclass(frozen=True)
 class Tracks:
-    """Everyone who drove while we looked; NaN where absent. Poses of box centres in the network's frame."""
+    """The vehicles that drove in the frames kept; NaN where absent. Poses of box centres in the network's frame."""
 
     pose: Float[np.ndarray, "T V 3"]
     size: Float[np.ndarray, "V 3"]
@@ -70,7 +70,7 @@ def watch(command: list[str], *, warm_up: float, seconds: float, jump: float = J
     libsumo holds one simulation a process: this one begins and ends here, and waits for one in another thread.
 
     Args:
-        jump: who moves farther in a frame, m, was moved by SUMO itself, and goes on as another vehicle.
+        jump: a vehicle that moves farther in a frame, m, was moved by SUMO itself, and goes on as another one.
 
     Raises:
         ImportError: SUMO is not installed.

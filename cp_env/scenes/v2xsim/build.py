@@ -17,11 +17,11 @@ from cp_env.types import Scene
 RSU = 0  # the road-side unit is LIDAR_TOP_id_0
 STRAY = 2.5  # m; an annotated box this close under a LiDAR is its carrier's
 BARE = (4.7, 2.0, 1.6)  # length, width, height of a carrier that is not annotated; m
-AROUND = 40.0  # m; boxes this close tell where the ground under a road-side unit is
+AROUND = 40.0  # m; boxes this close show where the ground under a road-side unit is
 
 
 @dataclass(frozen=True, eq=False)
-class Stage:
+class FrameSequence:
     """A scene, and what it takes to read its sweeps."""
 
     scene: Scene
@@ -41,7 +41,7 @@ def present(rows: Rows) -> Int[np.ndarray, " A"]:
 
 
 @lru_cache(maxsize=8)
-def stage(index: Index, place: int, categories: tuple[str, ...], rsu: bool) -> Stage:
+def build(index: Index, place: int, categories: tuple[str, ...], rsu: bool) -> FrameSequence:
     """A scene of an index."""
     rows, entry = index.rows(place), index.entries[place]
     agents = present(rows).tolist()
@@ -73,7 +73,7 @@ def stage(index: Index, place: int, categories: tuple[str, ...], rsu: bool) -> S
     )
     for array in (scene.pose, scene.size, scene.connected, scene.obstacles):
         array.flags.writeable = False  # it is shared by all who load it
-    return Stage(scene, rows, tuple(origin), carrier, origin, ground, boxes)
+    return FrameSequence(scene, rows, tuple(origin), carrier, origin, ground, boxes)
 
 
 def _tracks(rows: Rows, wanted: Sequence[bool]) -> tuple[Float[np.ndarray, "T I 7"], Bool[np.ndarray, " I"]]:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import re
 import shutil
 import uuid
@@ -76,7 +75,7 @@ def open_index(tables: Path, *, progress: bool = True) -> Index:
     """
     from cp_env.paths import cache_directory
 
-    stats = [(name, os.stat(tables / f"{name}.json")) for name in TABLES]
+    stats = [(name, (tables / f"{name}.json").stat()) for name in TABLES]
     key = repr((VERSION, str(tables.resolve()), [(name, s.st_size, s.st_mtime_ns) for name, s in stats]))
     folder = cache_directory() / "v2x-sim" / hashlib.sha256(key.encode()).hexdigest()[:16]
     if not (folder / "index.json").is_file():
@@ -176,8 +175,8 @@ class _Builder:
             self.times.append(times)
         self.sample_of = {token: scene for token, (scene, _, _) in following.items()}
 
-    def _lidars(self) -> None:
-        """Where each LiDAR is in each frame, and its file."""
+    def _mounts(self) -> dict[str, tuple[int, Any, Any]]:
+        """By token: the agent whose LiDAR it is, and the translation and rotation from its car."""
         channels: dict[str, str] = {}
         for token, channel in self.tables.read("sensor", "token", "channel"):
             self._new(channels, token, "sensor")
@@ -195,6 +194,11 @@ class _Builder:
             raise BrokenData(
                 self.tables.path("sensor"), "no channel LIDAR_TOP_id_k: these are no tables of V2X-Sim 2.0"
             )
+        return mounts
+
+    def _lidars(self) -> None:
+        """Where each LiDAR is in each frame, and its file."""
+        mounts = self._mounts()
         shots: dict[str, list[tuple[int, int, int, str, str]]] = {}  # by ego pose
         for sample, mount, pose, file, key in self.tables.read(
             "sample_data", "sample_token", "calibrated_sensor_token", "ego_pose_token", "filename", "is_key_frame"

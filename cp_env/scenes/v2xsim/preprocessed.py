@@ -9,7 +9,6 @@ usual car, vehicles are followed by place and size. Returns from the carrier its
 from __future__ import annotations
 
 import hashlib
-import os
 import uuid
 from collections.abc import Sequence
 from dataclasses import fields
@@ -19,11 +18,11 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from cp_env.lidar.returns import handed_over, standing
+from cp_env.lidar.returns import standing, to_world_axes
 from cp_env.scenes.errors import BrokenData, sift
 from cp_env.scenes.v2xsim.anchors import CELL
 from cp_env.scenes.v2xsim.build import RSU
-from cp_env.scenes.v2xsim.preprocessed_build import AGENTS, HEIGHT, Reel, read_points, read_reel
+from cp_env.scenes.v2xsim.preprocessed_build import AGENTS, HEIGHT, FrameSequence, read_points, read_sequence
 from cp_env.scenes.v2xsim.splits import SPLITS
 from cp_env.types import Scene, Sweep
 
@@ -69,8 +68,8 @@ class V2XSimDet:
             raise ValueError(f"{unknown[0]!r} is not in split {split!r} of {path}, which holds {', '.join(every)}")
         self._files: dict[str, _Files] = {name: every[name] for name in chosen}
         bar = tqdm(chosen, desc=f"reading {path}", unit="scene", disable=not progress)
-        kept, self.left_out = sift(bar, lambda name: self._reel(name), skip_broken=skip_broken)
-        self._names = tuple(name for name in kept if len(self._reel(name).agents) >= max(vehicles, 1))
+        kept, self.left_out = sift(bar, lambda name: self._sequence(name), skip_broken=skip_broken)
+        self._names = tuple(name for name in kept if len(self._sequence(name).agents) >= max(vehicles, 1))
         if not self._names:
             raise ValueError(f"no scene of {self.name} in {path} has {vehicles} vehicles in every frame; ask for fewer")
         keys = [_key(self._files[name]) for name in self._names]
@@ -88,17 +87,17 @@ class V2XSimDet:
         """
         if name not in self._names:
             raise ValueError(f"unknown scene {name!r}; {self.name} holds {', '.join(self._names)}")
-        reel = self._reel(name)
+        sequence = self._sequence(name)
         mast = None
-        if self._rsu and not np.isnan(reel.world_T_sensor[:, RSU]).any():
-            mast = np.array([0.0, 0.0, -reel.ground[RSU]])
+        if self._rsu and not np.isnan(sequence.world_T_sensor[:, RSU]).any():
+            mast = np.array([0.0, 0.0, -sequence.ground[RSU]])
         return Scene(
             name=name,
             kind="intersection",
             dt=DT,
-            pose=reel.pose,
-            size=np.concatenate([reel.size, np.full((len(reel.size), 1), HEIGHT)], axis=1),
-            connected=np.arange(len(reel.agents)),
+            pose=sequence.pose,
+            size=np.concatenate([sequence.size, np.full((len(sequence.size), 1), HEIGHT)], axis=1),
+            connected=np.arange(len(sequence.agents)),
             rsu=mast,
             obstacles=np.zeros((0, 6)),
         )
@@ -109,23 +108,25 @@ class V2XSimDet:
         Raises:
             BrokenData: a file is missing or broken.
         """
-        reel = self._reel(scene.name)
-        agents = [*reel.agents.tolist(), *([RSU] if scene.rsu is not None else [])]
-        return [[self._sweep(scene, reel, int(t), k, agent) for k, agent in enumerate(agents)] for t in frames]
+        sequence = self._sequence(scene.name)
+        agents = [*sequence.agents.tolist(), *([RSU] if scene.rsu is not None else [])]
+        return [[self._sweep(scene, sequence, int(t), k, agent) for k, agent in enumerate(agents)] for t in frames]
 
-    def _reel(self, name: str) -> Reel:
-        return _reel(self._files[name])
+    def _sequence(self, name: str) -> FrameSequence:
+        return _sequence(self._files[name])
 
-    def _sweep(self, scene: Scene, reel: Reel, t: int, k: int, agent: int) -> Sweep:
-        world_T_sensor = reel.world_T_sensor[t, agent]
+    def _sweep(self, scene: Scene, sequence: FrameSequence, t: int, k: int, agent: int) -> Sweep:
+        world_T_sensor = sequence.world_T_sensor[t, agent]
         place = scene.pose[t, scene.connected[k], :2] if agent != RSU else np.zeros(2)
-        ground = world_T_sensor[2, :3] @ (0, 0, reel.ground[agent]) + world_T_sensor[2, 3]
+        ground = world_T_sensor[2, :3] @ (0, 0, sequence.ground[agent]) + world_T_sensor[2, 3]
         path = self._files[scene.name][t][agent]
         assert path is not None
         own = None if agent == RSU else int(scene.connected[k])
         boxes = standing(scene, t, place)
         shift = world_T_sensor[:, 3] - (*place, ground)
-        points, hits = handed_over(read_points(path, agent), world_T_sensor[:, :3], shift, boxes, own, margin=CELL / 2)
+        points, hits = to_world_axes(
+            read_points(path, agent), world_T_sensor[:, :3], shift, boxes, own, margin=CELL / 2
+        )
         return Sweep(points.astype(np.float32), np.append(place, world_T_sensor[2, 3] - ground), hits)
 
 
@@ -160,21 +161,21 @@ def _key(files: _Files) -> str:
             found = path.stat()
         except OSError as error:
             raise BrokenData(path, "missing file") from error
-        sha.update(repr((str(path.relative_to(path.parents[3])), found.st_size, int(found.st_mtime))).encode())
+        sha.update(repr((str(path.relative_to(path.parents[3])), found.st_size, found.st_mtime_ns)).encode())
     return sha.hexdigest()[:32]
 
 
 @lru_cache(maxsize=16)
-def _reel(files: _Files) -> Reel:
+def _sequence(files: _Files) -> FrameSequence:
     """A scene, from the cache if it was put together before."""
     from cp_env.paths import cache_directory
 
     path = cache_directory() / "v2x-sim-det" / f"{_key(files)}.npz"
     if not path.is_file():
-        reel = read_reel(files)
+        sequence = read_sequence(files)
         path.parent.mkdir(parents=True, exist_ok=True)
         draft = path.with_name(f".{path.stem}-{uuid.uuid4().hex}.npz")
-        np.savez(draft, **{field.name: getattr(reel, field.name) for field in fields(reel)})
-        os.replace(draft, path)
+        np.savez(draft, **{field.name: getattr(sequence, field.name) for field in fields(sequence)})
+        draft.replace(path)
     with np.load(path, allow_pickle=False) as arrays:
-        return Reel(**{name: arrays[name] for name in arrays.files})
+        return FrameSequence(**{name: arrays[name] for name in arrays.files})

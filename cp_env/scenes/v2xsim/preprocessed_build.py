@@ -30,11 +30,11 @@ _KEYS = (
     "allocation_mask",
     "target_agent_id",
 )
-HEIGHT = BARE[2]  # m; the files do not tell a vehicle's height
+HEIGHT = BARE[2]  # m; the files do not hold a vehicle's height
 
 
 @dataclass(frozen=True, eq=False)
-class Reel:
+class FrameSequence:
     """What a scene's files say; agents are numbered as the files' folders, NaN where one is absent."""
 
     world_T_sensor: Float[np.ndarray, "T K 3 4"]
@@ -102,7 +102,7 @@ def _boxes(path: Path, content: dict[str, Any]) -> Float[np.ndarray, "L 5"]:
     return decode(targets.reshape(-1, 6), allocated, labels)
 
 
-def read_reel(paths: Sequence[Sequence[Path | None]]) -> Reel:
+def read_sequence(paths: Sequence[Sequence[Path | None]]) -> FrameSequence:
     """Put a scene together from the files `[frame][agent]`; BrokenData for what is wrong with one of them."""
     shape = len(paths), AGENTS
     world_T_sensor = np.full((*shape, 3, 4), np.nan)
@@ -127,7 +127,7 @@ def read_reel(paths: Sequence[Sequence[Path | None]]) -> Reel:
     pose, size = _track(boxes)
     own = np.stack([track[:, [0, 1, 4]] for track in carriers], axis=1) if carriers else np.zeros((shape[0], 0, 3))
     own_size = np.array([np.median(track[:, 2:4], axis=0) for track in carriers]).reshape(-1, 2)
-    return Reel(
+    return FrameSequence(
         world_T_sensor,
         ground,
         agents,

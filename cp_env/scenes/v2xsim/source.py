@@ -22,9 +22,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from cp_env.lidar.returns import handed_over
+from cp_env.lidar.returns import to_world_axes
 from cp_env.scenes.errors import BrokenData, sift
-from cp_env.scenes.v2xsim.build import RSU, Stage, present, stage
+from cp_env.scenes.v2xsim.build import RSU, FrameSequence, build, present
 from cp_env.scenes.v2xsim.index import open_index
 from cp_env.scenes.v2xsim.splits import choose
 from cp_env.scenes.v2xsim.tables import find_tables
@@ -75,7 +75,7 @@ class V2XSim:
         self._place = {entries[k].name: k for k in choose([entry.name for entry in entries], split, scenes)}
         listing = _Listing(self._root)
         kept, self.left_out = sift(self._place, partial(self._check, listing), skip_broken=skip_broken)
-        self._names = tuple(name for name in kept if self._crew(name) >= vehicles)
+        self._names = tuple(name for name in kept if self._n_vehicles(name) >= vehicles)
         if not self._names:
             raise ValueError(
                 f"no scene of {self.name} in {self._root} has {vehicles} connected vehicles; ask for fewer"
@@ -94,7 +94,7 @@ class V2XSim:
         """
         if name not in self._names:
             raise ValueError(f"unknown scene {name!r}; {self.name} holds {', '.join(self._names)}")
-        return self._staged(name).scene
+        return self._sequence(name).scene
 
     def sweeps(self, scene: Scene, frames: Sequence[int]) -> list[list[Sweep]]:
         """`[frame][agent]`: the connected vehicles in order, then the road-side unit if the scene shows one.
@@ -102,13 +102,13 @@ class V2XSim:
         Raises:
             BrokenData: a sweep's file is missing, cut short, empty, or holds what is no number.
         """
-        staged = self._staged(scene.name)
-        return [[self._sweep(staged, int(frame), agent) for agent in staged.agents] for frame in frames]
+        sequence = self._sequence(scene.name)
+        return [[self._sweep(sequence, int(frame), agent) for agent in sequence.agents] for frame in frames]
 
-    def _staged(self, name: str) -> Stage:
-        return stage(self._index, self._place[name], self._categories, self._rsu)
+    def _sequence(self, name: str) -> FrameSequence:
+        return build(self._index, self._place[name], self._categories, self._rsu)
 
-    def _crew(self, name: str) -> int:
+    def _n_vehicles(self, name: str) -> int:
         return len(present(self._index.rows(self._place[name])))
 
     def _check(self, listing: _Listing, name: str) -> None:
@@ -134,14 +134,14 @@ class V2XSim:
                 sha.update(repr((file, listing.stamp(file))).encode())
         return sha.hexdigest()
 
-    def _sweep(self, staged: Stage, frame: int, agent: int) -> Sweep:
-        path = self._root / str(staged.rows.sweep[frame, agent])
-        world_T_sensor = staged.rows.world_T_sensor[frame, agent]
-        origin, ground = staged.origin[agent][frame], staged.ground[frame, agent]
+    def _sweep(self, sequence: FrameSequence, frame: int, agent: int) -> Sweep:
+        path = self._root / str(sequence.rows.sweep[frame, agent])
+        world_T_sensor = sequence.rows.world_T_sensor[frame, agent]
+        origin, ground = sequence.origin[agent][frame], sequence.ground[frame, agent]
         shift = world_T_sensor[:, 3] - (origin[0], origin[1], ground)
-        boxes = staged.boxes[frame] - (origin[0], origin[1], ground, 0, 0, 0, 0)
-        own = None if agent == RSU else staged.row[agent]
-        points, hits = handed_over(read_points(path), world_T_sensor[:, :3], shift, boxes, own)
+        boxes = sequence.boxes[frame] - (origin[0], origin[1], ground, 0, 0, 0, 0)
+        own = None if agent == RSU else sequence.row[agent]
+        points, hits = to_world_axes(read_points(path), world_T_sensor[:, :3], shift, boxes, own)
         return Sweep(points, origin, hits)
 
 
@@ -185,7 +185,7 @@ class _Listing:
     def stamp(self, file: str) -> tuple[int, int] | None:
         """Size and seconds of the last change: archives keep both."""
         found = self._stat(file)
-        return None if found is None else (found.st_size, int(found.st_mtime))
+        return None if found is None else (found.st_size, found.st_mtime_ns)
 
     def _stat(self, file: str) -> os.stat_result | None:
         folder, _, name = file.rpartition("/")

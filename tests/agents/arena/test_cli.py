@@ -1,4 +1,4 @@
-"""The command: outsiders enter, errors say what is known, a killed run goes on, and the records hold every figure."""
+"""The command line: your own classes enter, errors name what is known, a killed arena goes on, the records suffice."""
 
 from __future__ import annotations
 
@@ -16,17 +16,18 @@ from typing import Any
 
 import pytest
 
-from agents.arena import cli, make_attacker
+from agents.arena import cli, make_attack
 from agents.arena.cli import main
-from cp_env.evaluation import Cell, Record, summarise
-from cp_env.evaluation.analysis.worst_case import damage_a_frame, extremes, mean_of
-from cp_env.evaluation.plan.runs import Protocol, code_of
+from agents.protocol import Learned
+from cp_env.evaluation import Record, Run, summarise
+from cp_env.evaluation.analysis.worst_case import damage_per_frame, extremes, mean_interval
+from cp_env.evaluation.plan.runs import Conditions, code_of
 from tests.helpers.toy_arena import install
 from tests.helpers.toy_evaluation import contents
 
 ROOT = Path(__file__).parents[3]
 MINE = """
-from agents.noise import Silence
+from agents.attacks.noise import NoPerturbation
 from defenders import Defender, Query, Verdict
 
 
@@ -42,7 +43,7 @@ class Halves(Defender):
         return Verdict(range(self.first))
 
 
-class Shout(Silence):
+class Shout(NoPerturbation):
     def __init__(self, level=1.0):
         self.level = level
 
@@ -54,7 +55,7 @@ ENTRIES = (
     "none",
     "mine_too:Halves:first=3",
     "oracle",
-    "--attackers",
+    "--attacks",
     "pgd:steps=1",
     "mine_too:Shout:level=0.5",
 )
@@ -65,12 +66,12 @@ SMALL = ("--scenes", "toy:any", "--frames", "3", "--batch", "1", "--seeds", "7",
 def toys() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         install(patch.setitem, patch.setattr)
-        patch.setattr(cli, "find", functools.partial(cli.find, resamples=20))
+        patch.setattr(cli, "collect_results", functools.partial(cli.collect_results, resamples=20))
         yield
 
 
 @pytest.fixture
-def outsiders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def custom_classes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A folder with `mine_too.py` in it, which is where we are."""
     monkeypatch.setattr(sys, "path", [*sys.path])
     monkeypatch.delitem(sys.modules, "mine_too", raising=False)
@@ -80,37 +81,48 @@ def outsiders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_outsiders_enter_by_module_and_class_with_knobs(outsiders: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    axes = ("--ks", "2", "1", "--budgets", "0.3", "0.1", "--side-attackers", "pgd:steps=1", "--side-scenes", "1")
-    main([*SMALL, *ENTRIES, *axes, "--page", "board/leaders.md", "--grace-frames", "0"])
-    out = outsiders / "out" / "arena"
+def test_own_classes_enter_by_module_and_name(custom_classes: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    axes = (
+        "--ks",
+        "2",
+        "1",
+        "--budgets",
+        "0.3",
+        "0.1",
+        "--off-baseline-attacks",
+        "pgd:steps=1",
+        "--off-baseline-scenes",
+        "1",
+    )
+    main([*SMALL, *ENTRIES, *axes, "--page", "pages/leaders.md", "--grace-frames", "0"])
+    out = custom_classes / "out" / "arena"
     data = json.loads((out / "arena.json").read_text())
     assert {line["entry"]: line["rank"] is None for line in data["defenders"]} == {
         "none": False,
         "mine_too:Halves:first=3": False,
         "oracle": True,
     }
-    assert {line["entry"] for line in data["attackers"]} == {"pgd:steps=1", "mine_too:Shout:level=0.5"}
+    assert {line["entry"] for line in data["attacks"]} == {"pgd:steps=1", "mine_too:Shout:level=0.5"}
     assert [(curve["axis"], curve["values"], curve["n_scenes"]) for curve in data["curves"]] == [
         ("k", [1, 2], 1),
         ("budget", [0.1, 0.3], 1),
     ]
     halves = [row for row in data["rows"] if row["defender"].startswith("mine_too")]
     assert halves and all(row["verifications"]["mean"] == 2 for row in halves)
-    assert data["about"]["protocol"]["grace_frames"] == 0 and data["about"]["seeds"] == [7, 8]
+    assert data["about"]["conditions"]["grace_frames"] == 0 and data["about"]["seeds"] == [7, 8]
     assert data["about"]["command"].startswith("cp-arena --scenes toy:any")
     entries = [json.loads(file.read_text()) for file in (out / "entries").iterdir()]
     assert {(entry["role"], entry["entry"]) for entry in entries} == {
         *(("defender", line["entry"]) for line in data["defenders"]),
-        *(("attack", line["entry"]) for line in data["attackers"]),
+        *(("attack", line["entry"]) for line in data["attacks"]),
     }
-    films = {entry["worst_episode"]["gif"] for entry in entries if entry["role"] == "defender"}
-    assert films == {film.name for film in (out / "films").iterdir()}
-    pictures = {file.name for file in (outsiders / "board" / "leaders").iterdir()}
-    page = (outsiders / "board" / "leaders.md").read_text()
+    videos = {entry["worst_episode"]["gif"] for entry in entries if entry["role"] == "defender"}
+    assert videos == {video.name for video in (out / "videos").iterdir()}
+    pictures = {file.name for file in (custom_classes / "pages" / "leaders").iterdir()}
+    page = (custom_classes / "pages" / "leaders.md").read_text()
     assert pictures == {
         "defenders.svg",
-        "attackers.svg",
+        "attacks.svg",
         "trade-off.svg",
         "curve-k.svg",
         "curve-budget.svg",
@@ -120,64 +132,70 @@ def test_outsiders_enter_by_module_and_class_with_knobs(outsiders: Path, capsys:
     assert "arena.html" in capsys.readouterr().out
 
 
-def test_a_changed_outsider_is_played_anew(outsiders: Path) -> None:
-    protocol = Protocol("toy:any", ("toy-0",))
-    cells = [Cell("mine_too:Halves", "none", 0, 0, ("toy-0",)), Cell("prbi", "none", 0, 0, ("toy-0",))]
-    sys.path.insert(0, str(outsiders))
-    before = [cell.slug(protocol) for cell in cells]
-    assert before == [cell.slug(protocol) for cell in cells]
-    (outsiders / "mine_too.py").write_text(MINE.replace("first=2", "first=1"))
+def test_a_changed_class_is_played_anew(custom_classes: Path) -> None:
+    conditions = Conditions("toy:any", ("toy-0",))
+    runs = [Run("mine_too:Halves", "none", 0, 0, ("toy-0",)), Run("prbi", "none", 0, 0, ("toy-0",))]
+    sys.path.insert(0, str(custom_classes))
+    before = [run.slug(conditions) for run in runs]
+    assert before == [run.slug(conditions) for run in runs]
+    (custom_classes / "mine_too.py").write_text(MINE.replace("first=2", "first=1"))
     code_of.cache_clear()
-    mine, ours = [cell.slug(protocol) for cell in cells]
+    mine, ours = [run.slug(conditions) for run in runs]
     assert mine != before[0] and ours == before[1]
 
 
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--defenders", "prbbi"], "unknown defender 'prbbi'; known are prbi, none"),
+        (["--defenders", "prbbi"], "unknown defender 'prbbi' .did you mean 'prbi'.*; known: prbi, .*none"),
         (["--defenders", "nowhere:Halves"], "no defender 'nowhere:Halves'"),
-        (["--attackers", "pdg"], "unknown attacker 'pdg'; known: none, noise, .*pgd, .*policy:name=…, or module:Class"),
-        (["--attackers", "policy:name=prbi-99"], "unknown policy 'prbi-99'; known: .*prbi-0"),
-        (["--attackers", "tests.helpers.toy_evaluation:ToySource"], "built a ToySource; an attacker has reset and act"),
-        (["--attackers", "pgd:wisdom=1"], "wisdom"),
-        (["--design", "round"], "unknown design 'round': choose one of star, full"),
+        (
+            ["--attacks", "pdg"],
+            "unknown attack 'pdg' .did you mean 'pgd'.*; known: none, noise, .*pgd, .*policy; or module:Class",
+        ),
+        (["--attacks", "policy:name=prbi-99"], "unknown policy 'prbi-99'; known: .*prbi-0"),
+        (
+            ["--attacks", "tests.helpers.toy_evaluation:ToySource"],
+            "is no attack: it must be a class with the methods reset, act or options, __call__.*nothing was called",
+        ),
+        (["--attacks", "pgd:wisdom=1"], "wisdom"),
+        (["--design", "round"], "unknown design 'round'.*one-factor-at-a-time, full"),
         (["--n-scenes", "3"], "n_scenes must be 1 to 2, not 3"),
         (["--ks", "5"], "0 <= k < n"),
     ],
 )
-def test_bad_input_is_told_in_one_line(words: list[str], message: str, tmp_path: Path) -> None:
+def test_bad_input_is_named_in_one_line(words: list[str], message: str, tmp_path: Path) -> None:
     with pytest.raises(SystemExit, match=f"cp-arena: .*{message}"):
         main(["--scenes", "toy:any", "--out", str(tmp_path), *words])
     assert not contents(tmp_path)
 
 
-def test_learned_attackers_and_outsiders_are_made_by_name() -> None:
-    assert make_attacker("policy", name="prbi-0").knobs["observation"]  # type: ignore[union-attr]
-    for place in ("agents.attacks.noise:Silence", "agents.attacks.noise.Silence"):
-        assert type(make_attacker(place)).__name__ == "Silence"
+def test_learned_attacks_and_own_classes_are_made_by_name() -> None:
+    policy = make_attack("policy:name=prbi-0")
+    assert isinstance(policy, Learned) and policy.options["observation"]
+    assert type(make_attack("agents.attacks.noise:NoPerturbation")).__name__ == "NoPerturbation"
 
 
 # ── killed and gone on with ──────────────────────────────────────────────────────────────────────────────────────────
 
-DUELS = ("--defenders", "none", "prbi", "--attackers", "none", "pgd:steps=1", "--no-films")
+PAIRWISE = ("--defenders", "none", "prbi", "--attacks", "none", "pgd:steps=1", "--no-videos")
 
 
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nobody looks at the pictures."""
-    monkeypatch.setattr(cli, "pictures", lambda found: {})
+    """No plots are drawn."""
+    monkeypatch.setattr(cli, "draw_plots", lambda results: {})
 
 
 @pytest.fixture(scope="module")
 def uninterrupted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("uninterrupted")
-    main([*SMALL, *DUELS, "--out", str(out)])
+    main([*SMALL, *PAIRWISE, "--out", str(out)])
     return out
 
 
 def table(out: Path) -> dict[str, Any]:
-    """All that was found, but how fast it went and how it was called."""
+    """All results, but the speed and the command."""
     found: dict[str, Any] = json.loads((out / "arena.json").read_text())
     rows = [{**row, "frames_per_second": None} for row in found["rows"]]
     return {**found, "rows": rows, "about": None}
@@ -193,19 +211,19 @@ def alive(pid: int) -> bool:
 
 @pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="finds the workers in /proc")
 def test_a_run_killed_by_force_goes_on_to_the_same_table(uninterrupted: Path, undrawn: None, tmp_path: Path) -> None:
-    words = [*SMALL[:-1], "2", *DUELS, "--out", str(tmp_path)]  # on two workers
+    words = [*SMALL[:-1], "2", *PAIRWISE, "--out", str(tmp_path)]  # on two workers
     run = subprocess.Popen([sys.executable, "-m", "tests.helpers.toy_arena", *words], cwd=ROOT)
-    cells, deadline = tmp_path / "cells", time.monotonic() + 240
+    cells, deadline = tmp_path / "runs", time.monotonic() + 240
     while not (cells.is_dir() and len(contents(cells)) >= 2):
         assert run.poll() is None and time.monotonic() < deadline, "it ended, or did nothing"
         time.sleep(0.02)
     workers = [int(pid) for pid in Path(f"/proc/{run.pid}/task/{run.pid}/children").read_text().split()]
     os.kill(run.pid, signal.SIGKILL)
     run.wait()
-    kept, planned = contents(cells), contents(uninterrupted / "cells")
+    kept, planned = contents(cells), contents(uninterrupted / "runs")
     assert 2 <= len(kept) < len(planned) and kept.keys() <= planned.keys()
     assert all(json.loads(data)["records"] for data in kept.values())  # whole, each of them
-    main([*SMALL, *DUELS, "--out", str(tmp_path)])
+    main([*SMALL, *PAIRWISE, "--out", str(tmp_path)])
     assert contents(cells).keys() == planned.keys()
     assert {name: contents(cells)[name] for name in kept} == kept  # nothing is played twice
     assert table(tmp_path) == table(uninterrupted)
@@ -214,37 +232,37 @@ def test_a_run_killed_by_force_goes_on_to_the_same_table(uninterrupted: Path, un
         time.sleep(0.1)
 
 
-def test_the_order_of_entries_changes_no_cell(uninterrupted: Path, undrawn: None, tmp_path: Path) -> None:
-    """Stored cells are taken for those of a run that names its entries the other way round."""
-    shutil.copytree(uninterrupted / "cells", tmp_path / "cells")
-    before = contents(tmp_path / "cells")
-    turned = ("--defenders", "prbi", "none", "--attackers", "pgd:steps=1", "none", "--no-films", "--seeds", "8", "7")
+def test_the_order_of_entries_changes_no_run(uninterrupted: Path, undrawn: None, tmp_path: Path) -> None:
+    """Stored runs are taken for those of an arena that names its entries the other way round."""
+    shutil.copytree(uninterrupted / "runs", tmp_path / "runs")
+    before = contents(tmp_path / "runs")
+    turned = ("--defenders", "prbi", "none", "--attacks", "pgd:steps=1", "none", "--no-videos", "--seeds", "8", "7")
     main([*SMALL, *turned, "--out", str(tmp_path)])
-    assert contents(tmp_path / "cells") == before
+    assert contents(tmp_path / "runs") == before
     ranks = [{line["entry"]: line["rank"] for line in table(out)["defenders"]} for out in (tmp_path, uninterrupted)]
     assert ranks[0] == ranks[1]
 
 
-def test_the_records_alone_hold_every_figure(uninterrupted: Path) -> None:
+def test_the_records_alone_hold_every_result(uninterrupted: Path) -> None:
     """Read without the plan: rows and worst cases come out as they were reported."""
-    played: dict[Cell, list[Record]] = {}
-    for file in sorted((uninterrupted / "cells").iterdir()):
+    results: dict[Run, list[Record]] = {}
+    for file in sorted((uninterrupted / "runs").iterdir()):
         data = json.loads(file.read_text())
-        cell = Cell(*(data[name] for name in ("defender", "attack", "k", "seed")), tuple(data["names"]))
-        played[cell] = [Record.from_json(record) for record in data["records"]]
+        cell = Run(*(data[name] for name in ("defender", "attack", "k", "seed")), tuple(data["names"]))
+        results[cell] = [Record.from_json(record) for record in data["records"]]
         assert data["conditions"]["frames"] == 3 and data["detector"]
     reported = json.loads((uninterrupted / "arena.json").read_text())
-    rows = {(row.defender, row.attack): row for row in summarise(played, resamples=1)}
+    rows = {(row.defender, row.attack): row for row in summarise(results, resamples=1)}
     for row in reported["rows"]:
         mine = rows[row["defender"], row["attack"]]
         for figure in ("ap50", "recovery70", "damage", "verifications", "mc_rate"):
             theirs, own = row[figure], getattr(mine, figure)
             assert own is None if theirs is None else theirs["mean"] == pytest.approx(own.mean)
-    for standing in reported["defenders"]:
+    for ranking in reported["defenders"]:
         by_scene: dict[str, list[float]] = {}
-        for cell, records in played.items():
-            if (cell.defender, cell.attack) == (standing["entry"], "pgd:steps=1"):
+        for cell, records in results.items():
+            if (cell.defender, cell.attack) == (ranking["entry"], "pgd:steps=1"):
                 for one in records:
-                    by_scene.setdefault(one.scene, []).append(damage_a_frame(one, 3))
+                    by_scene.setdefault(one.scene, []).append(damage_per_frame(one, 3))
         worst = extremes({"pgd": {scene: sum(of) / len(of) for scene, of in by_scene.items()}}, max)
-        assert standing["damage"]["mean"] == pytest.approx(mean_of(worst).mean)
+        assert ranking["damage"]["mean"] == pytest.approx(mean_interval(worst).mean)

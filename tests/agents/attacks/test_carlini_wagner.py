@@ -10,29 +10,30 @@ import torch
 
 import agents
 from agents.attacks.carlini_wagner import CarliniWagner
-from agents.attacks.constraint import Domain, make_ball
+from agents.attacks.constraint import FeasibleSet
+from cp_env.perturbation.ball import make_ball
 from tests.helpers import situations
 
 MODEL = situations.detector()
 
 
-def _act(situation: Any, **knobs: Any) -> torch.Tensor:
-    attacker = agents.make("cw", **knobs)
-    attacker.reset(len(situation.active), np.random.default_rng(0))
-    return attacker.act(situation)
+def _act(situation: Any, **options: Any) -> torch.Tensor:
+    attack = agents.make("cw", **options)
+    attack.reset(len(situation.active), np.random.default_rng(0))
+    return attack.act(situation)
 
 
 def _loss(situation: Any, delta: torch.Tensor) -> torch.Tensor:
     return situations.value(situation, delta)
 
 
-def _ball(norm: str) -> Domain:
-    return Domain(norm, 0.3)
+def _ball(norm: str) -> FeasibleSet:
+    return FeasibleSet(norm, 0.3)
 
 
 @pytest.mark.parametrize("norm", ["linf", "l2"])
 def test_the_optimum_of_a_linear_loss(norm: str) -> None:
-    """min ‖δ‖² / M - c g·δ has δ = c g M / 2, M the largest ‖δ‖² in the ball, as long as that lies inside."""
+    """min ‖δ‖² / M - c g·δ has δ = c g M / 2, M the largest ‖δ‖² in the ball, as long as that is inside."""
     budget, c = 0.3, 2.0
     slope = torch.tensor([[0.5, -1.0, 0.0, 0.25]]).reshape(1, 1, 1, 2, 2)
     largest = budget**2 * (4 if norm == "linf" else 1)

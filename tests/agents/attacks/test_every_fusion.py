@@ -1,4 +1,4 @@
-"""Attacks go through every fusion: gradients beat noise, and a liar outside the group does nothing."""
+"""Attacks go through every fusion: gradients beat noise, and an attacker outside the group does nothing."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ def test_gradients_beat_noise_and_reach_members_only(name: str) -> None:
     situation = situations.situation(model, n_worlds=2)
     damage = {}
     for attack in ("noise", "bim", "cw"):
-        attacker = agents.make(attack)
-        attacker.reset(2, np.random.default_rng(0))
-        damage[attack] = situations.value(situation, attacker.act(situation)).mean()
+        attack_instance = agents.make(attack)
+        attack_instance.reset(2, np.random.default_rng(0))
+        damage[attack] = situations.value(situation, attack_instance.act(situation)).mean()
     assert damage["bim"] > 3 * damage["noise"] and damage["cw"] > 2 * damage["noise"]
     groups = torch.ones_like(situation.fused)
     groups[0, situation.attackers[0, 0]] = False
     delta = torch.zeros(2, 2, situations.CHANNELS, situations.SIZE, situations.SIZE, requires_grad=True)
-    loss = situations.value(situation, delta, audience=situations.groups_of(groups))
+    loss = situations.value(situation, delta, target_groups=situations.groups_of(groups))
     (gradient,) = torch.autograd.grad(loss.sum(), delta)
     assert (gradient.abs().amax((-3, -2, -1)) > 0).tolist() == [[False, True], [True, True]]

@@ -24,7 +24,7 @@ KINDS = [
 
 @cache
 def learnt(bank: SceneBank, seed: int, **kind: bool) -> Any:
-    """A learner that several tests look at and none changes."""
+    """A learner that several tests read and none changes."""
     return learner(bank, seed, **kind)
 
 
@@ -83,7 +83,7 @@ def test_a_policy_survives_the_disk(bank: SceneBank, tmp_path: Path) -> None:
     policy = exported(learnt(bank, 0, joint=True, recurrent=True), joint=True)
     save_policy(policy, tmp_path / "mine.safetensors")
     loaded = load_policy(tmp_path / "mine.safetensors")
-    assert (loaded.defender, loaded.knobs, loaded.notes, loaded.joint) == (
+    assert (loaded.defender, loaded.options, loaded.notes, loaded.joint) == (
         ("prbi", {"max_frames": FRAMES}, policy.notes, True)
     )
     seen = np.zeros((1, K, policy.n_inputs // K), np.float32)
@@ -96,7 +96,7 @@ def test_a_policy_survives_the_disk(bank: SceneBank, tmp_path: Path) -> None:
 def test_what_remembers_some_does_not_serve_others(bank: SceneBank) -> None:
     policy = exported(learnt(bank, 0, joint=True, recurrent=True))
     policy(np.zeros((4, policy.n_inputs), np.float32))
-    with pytest.raises(ValueError, match="remembers 4 liars, not 2"):
+    with pytest.raises(ValueError, match="remembers 4 attackers, not 2"):
         policy(np.zeros((2, policy.n_inputs), np.float32))
 
 
@@ -130,4 +130,4 @@ def test_broken_policy_files_are_named(content: bytes | None, tmp_path: Path) ->
 def test_shipped_policies_are_small_and_name_a_defender(name: str) -> None:
     policy = load_policy(name)
     assert policy.defender.partition(":")[0] in names()
-    assert policy.knobs and sum(weight.numel() for weight in policy.weights) < 50_000
+    assert policy.options and sum(weight.numel() for weight in policy.weights) < 50_000

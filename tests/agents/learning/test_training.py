@@ -12,9 +12,9 @@ from agents.learning import training
 from agents.learning.callbacks import read_curve
 from agents.learning.policy import load_policy
 from agents.learning.rollout import play
-from agents.learning.sweep import Run, keep, plan_sweep, slug, strongest, summarise, sweep, write_table
+from agents.learning.sweep import TrainingRun, keep, plan_sweep, slug, strongest, summarise, sweep, write_table
 from agents.learning.training import Recipe, train
-from cp_env.evaluation import Protocol
+from cp_env.evaluation import Conditions
 from cp_env.world.scene_cache import SceneBank
 from tests.agents.conftest import FRAMES
 
@@ -29,13 +29,13 @@ class Killed(Exception):
 def toy(bank: SceneBank, monkeypatch: pytest.MonkeyPatch) -> None:
     """Segments of six frames on the toy crossings."""
     monkeypatch.setattr(training, "open_bank", lambda scenes, n_scenes: bank)
-    monkeypatch.setitem(training.PPO_KNOBS, "n_steps", FRAMES)
-    monkeypatch.setitem(training.PPO_KNOBS, "batch_size", 6)
-    monkeypatch.setitem(training.PPO_KNOBS, "n_epochs", 2)
+    monkeypatch.setitem(training.PPO_OPTIONS, "n_steps", FRAMES)
+    monkeypatch.setitem(training.PPO_OPTIONS, "batch_size", 6)
+    monkeypatch.setitem(training.PPO_OPTIONS, "n_epochs", 2)
 
 
-def protocol(bank: SceneBank) -> Protocol:
-    return Protocol(scenes=bank.source, names=bank.source.names(), frames=FRAMES)
+def conditions(bank: SceneBank) -> Conditions:
+    return Conditions(scenes=bank.source, names=bank.source.names(), frames=FRAMES)
 
 
 def files(folder: Path) -> dict[str, bytes]:
@@ -43,26 +43,26 @@ def files(folder: Path) -> dict[str, bytes]:
     return {name: (folder / name).read_bytes() for name in names}
 
 
-@pytest.mark.parametrize("knobs", [{}, {"joint": True, "knowledge": "white-box", "recurrent": True}], ids=str)
-def test_a_killed_run_goes_on_as_if_nothing_had_happened(tmp_path: Path, knobs: dict[str, object]) -> None:
-    if "recurrent" in knobs:
+@pytest.mark.parametrize("options", [{}, {"joint": True, "knowledge": "white-box", "recurrent": True}], ids=str)
+def test_a_killed_run_goes_on_as_if_nothing_had_happened(tmp_path: Path, options: dict[str, object]) -> None:
+    if "recurrent" in options:
         pytest.importorskip("sb3_contrib")
-    recipe = replace(SMALL, **knobs)
+    recipe = replace(SMALL, **options)
     curve = train(recipe, tmp_path / "whole")
-    assert [look["frames"] for look in curve] == [0, 6, 12]
+    assert [evaluation["frames"] for evaluation in curve] == [0, 6, 12]
 
     def kill(frames: int) -> None:
         if frames == 8:
             raise Killed
 
     with pytest.raises(Killed):
-        train(recipe, tmp_path / "killed", tell=kill)
+        train(recipe, tmp_path / "killed", report_progress=kill)
     assert len(read_curve(tmp_path / "killed")) == 2
     seen: list[int] = []
-    assert train(recipe, tmp_path / "killed", tell=seen.append) == curve
+    assert train(recipe, tmp_path / "killed", report_progress=seen.append) == curve
     assert seen == [8, 10, 12]  # the first segment is not played again
     assert files(tmp_path / "killed") == files(tmp_path / "whole")
-    train(recipe, tmp_path / "killed", tell=kill)  # finished: nothing is left to do
+    train(recipe, tmp_path / "killed", report_progress=kill)  # finished: nothing is left to do
 
 
 def test_more_frames_go_on_and_another_recipe_is_refused(tmp_path: Path) -> None:
@@ -75,10 +75,10 @@ def test_more_frames_go_on_and_another_recipe_is_refused(tmp_path: Path) -> None
 def test_a_run_begins_where_a_policy_stands(bank: SceneBank, tmp_path: Path) -> None:
     train(SMALL, tmp_path / "first")
     policy = load_policy(tmp_path / "first" / "policy.safetensors")
-    again = play(policy, protocol(bank), bank, defender="prbi")
+    again = play(policy, conditions(bank), bank, defender="prbi")
     assert again.damage.mean() == pytest.approx(policy.notes["holdout_damage"])
-    assert policy.notes["holdout_damage"] == max(look["damage"] for look in read_curve(tmp_path / "first"))
-    assert (policy.defender, policy.joint, policy.knobs) == ("prbi", False, SMALL.knobs)
+    assert policy.notes["holdout_damage"] == max(evaluation["damage"] for evaluation in read_curve(tmp_path / "first"))
+    assert (policy.defender, policy.joint, policy.options) == ("prbi", False, SMALL.options)
     frozen = replace(SMALL, begin=str(tmp_path / "first" / "policy.safetensors"), learning_rate=0.0, frames=6)
     train(frozen, tmp_path / "second")
     same = load_policy(tmp_path / "second" / "policy.safetensors")
@@ -92,7 +92,7 @@ def test_bad_recipes_are_refused() -> None:
         Recipe(every=0)
 
 
-def plan(root: Path) -> list[Run]:
+def plan(root: Path) -> list[TrainingRun]:
     configurations = ["shared", "joint:joint=True,knowledge=white-box,frames=12"]
     base = replace(SMALL, frames=6)
     return plan_sweep(base, defenders=["prbi", "robosac"], configurations=configurations, seeds=[0], root=root)
@@ -127,12 +127,12 @@ def test_bad_sweeps_are_refused(configurations: list[str], match: str, tmp_path:
         plan_sweep(SMALL, defenders=["prbi"], configurations=configurations, seeds=[0], root=tmp_path)
 
 
-def test_every_attacker_meets_the_same_episodes(bank: SceneBank) -> None:
-    honest = play(agents.make("none"), protocol(bank), bank, defender="none")
-    assert honest.damage.tolist() == [0.0, 0.0] and honest.frames.tolist() == [FRAMES] * 2
-    assert honest.excluded.tolist() == [0.0, 0.0]
+def test_every_attack_meets_the_same_episodes(bank: SceneBank) -> None:
+    benign = play(agents.make("none"), conditions(bank), bank, defender="none")
+    assert benign.damage.tolist() == [0.0, 0.0] and benign.frames.tolist() == [FRAMES] * 2
+    assert benign.excluded.tolist() == [0.0, 0.0]
     random = agents.make("random")
-    twice = [play(random, protocol(bank), bank, defender="prbi", batch=batch) for batch in (2, 2, 1)]
+    twice = [play(random, conditions(bank), bank, defender="prbi", batch=batch) for batch in (2, 2, 1)]
     assert twice[0].damage.sum() > 0
     for other in twice[1:]:  # whoever its neighbours are, and whatever was played before
         np.testing.assert_allclose(other.damage, twice[0].damage, rtol=1e-5)

@@ -18,34 +18,34 @@ Make = Callable[..., CollaborativePerceptionEnv]
 
 
 @pytest.mark.parametrize(
-    ("knobs", "message"),
+    ("options", "message"),
     [
         ({"defender": "robosac!"}, "unknown defender 'robosac!'.*prbi"),
-        ({"fusion": "median"}, "unknown fusion 'median': choose one of mean"),
-        ({"action": "raw"}, "unknown action map 'raw': choose one of guided, quiet, basis, full"),
-        ({"observation": "pixels"}, "unknown observation 'pixels': choose one of features, compact"),
-        ({"knowledge": "grey"}, "unknown knowledge 'grey': choose one of black-box, gray-box, white-box"),
-        ({"reward": "fame"}, "unknown reward 'fame': choose one of damage, ap_drop, stealth"),
-        ({"norm": "l1"}, "unknown norm 'l1': choose one of linf, l2"),
-        ({"slots": "pairs"}, "unknown slots 'pairs': choose one of adversaries, vehicles"),
+        ({"fusion": "median"}, "fusion must be one of mean.*not 'median'"),
+        ({"action": "raw"}, "action must be one of guided, stealth, basis, full, not 'raw'"),
+        ({"observation": "pixels"}, "observation must be one of features, compact.*not 'pixels'"),
+        ({"knowledge": "grey"}, "knowledge must be one of black-box, gray-box, white-box.*not 'grey'"),
+        ({"reward": "fame"}, "reward must be one of damage, ap_drop, stealth.*not 'fame'"),
+        ({"norm": "l1"}, "norm must be one of linf, l2.*not 'l1'"),
+        ({"slots": "pairs"}, "slots must be one of adversaries, vehicles.*not 'pairs'"),
         ({"render_mode": "ansi"}, "render_mode must be None or one of .*'human', 'rgb_array'.*, got 'ansi'"),
         ({"n_attackers": 5}, "0 <= k < n: k = 5, n_vehicles = 5"),
         ({"n_attackers": -1}, "k = -1"),
         ({"n_attackers": 0}, "at least one adversary: set n_attackers >= 1"),
         ({"attackers": (0, 5)}, r"distinct numbers from 0 \(the ego\) to 4, not \[0, 5\]"),
         ({"attackers": (1, 1)}, r"distinct numbers .* not \[1, 1\]"),
-        ({"attackers": (0, 1, 2, 3, 4)}, "leave one vehicle honest: 5 of 5 lie"),
+        ({"attackers": (0, 1, 2, 3, 4)}, "leave one vehicle benign: 5 of 5 are malicious"),
         ({"n_vehicles": 1, "n_attackers": 0}, "n_vehicles must be at least 2"),
-        ({"budget": -0.1}, "budget Δ must be a finite number >= 0, not -0.1"),
-        ({"budget": float("nan")}, "budget Δ must be a finite number >= 0, not nan"),
+        ({"budget": -0.1}, "budget Δ must be a finite number from 0 to 65504, not -0.1"),
+        ({"budget": float("nan")}, "budget must be a finite number, not nan"),
         ({"max_frames": 0}, "max_frames must be at least 1, not 0"),
         ({"grace_frames": -1}, "grace_frames must be at least 0, not -1"),
     ],
     ids=lambda value: "-".join(map(str, value.items())) if isinstance(value, dict) else "",
 )
-def test_knobs(toy_env: Make, knobs: dict[str, Any], message: str) -> None:
+def test_bad_settings(toy_env: Make, options: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        toy_env(**knobs)
+        toy_env(**options)
 
 
 def test_unknown_scenes_list_the_known() -> None:
@@ -63,7 +63,41 @@ def test_options(toy_env: Make) -> None:
     env = toy_env()
     with pytest.raises(ValueError, match="start must be a frame of scene"):
         env.reset(options={"start": 99})
-    env.reset(options={"somebody else's": 1})
+    with pytest.raises(ValueError, match=r"unknown option of reset 'strat' .did you mean 'start'"):
+        env.reset(options={"strat": 1})
+    env.reset(options={"options": 1})  # as PettingZoo's own test does
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"start": 99},
+        {"start": 1.5},
+        {"start": True},
+        {"start": "0"},
+        {"scene": "nowhere"},
+        {"scene": 3},
+        {"absent": {0: [1]}},
+        {"absent": 3},
+        {"strat": 1},
+    ],
+)
+def test_a_refused_reset_changes_nothing(toy_env: Make, options: Any) -> None:
+    """The episode goes on as if it had not been asked for, and so does the stream of episodes."""
+    refused, undisturbed = toy_env(observation="compact"), toy_env(observation="compact")
+    actions = {agent: np.full(8, 0.5, np.float32) for agent in refused.possible_agents}
+    for env in (refused, undisturbed):
+        env.reset(seed=3)
+        env.step(actions)
+    with pytest.raises(ValueError, match=r"start|scene|absent|option"):
+        refused.reset(seed=5, options=options)
+    with pytest.raises(ValueError, match=r"start|scene|absent|option"):
+        refused.reset(options=options)
+    for _ in range(2):
+        (one, *_), (other, *_) = refused.step(actions), undisturbed.step(actions)
+        assert all(np.array_equal(one[agent], other[agent]) for agent in actions)
+    one, other = refused.reset()[0], undisturbed.reset()[0]
+    assert all(np.array_equal(one[agent], other[agent]) for agent in actions)
 
 
 @pytest.mark.parametrize("seed", [-1, 0.5, "zero"])
@@ -78,10 +112,10 @@ def test_seed_zero_is_a_seed(toy_env: Make) -> None:
     assert np.array_equal(first, again)
 
 
-@pytest.mark.parametrize("door", ["observation_space", "action_space"])
-def test_unknown_agents(toy_env: Make, door: str) -> None:
+@pytest.mark.parametrize("method", ["observation_space", "action_space"])
+def test_unknown_agents(toy_env: Make, method: str) -> None:
     with pytest.raises(ValueError, match=r"no agent 'adversary_2'; the agents are \['adversary_0', 'adversary_1'\]"):
-        getattr(toy_env(), door)("adversary_2")
+        getattr(toy_env(), method)("adversary_2")
 
 
 def test_actions(toy_env: Make) -> None:

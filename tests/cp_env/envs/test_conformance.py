@@ -9,9 +9,9 @@ import pytest
 import defenders
 from cp_env.envs.parallel import CollaborativePerceptionEnv
 from cp_env.settings import ACTIONS, OBSERVATIONS
-from cp_env.testing import GENERIC, HOUSE, check_env
+from cp_env.testing import CP_ENV_RULES, PARALLEL_ENV_RULES, check_env
 
-RULES = {rule.__name__ for rule in GENERIC + HOUSE}
+RULES = {rule.__name__ for rule in PARALLEL_ENV_RULES + CP_ENV_RULES}
 Make = Callable[..., CollaborativePerceptionEnv]
 
 

@@ -100,7 +100,7 @@ def test_state_is_every_vehicles_own_map(toy_env: Make) -> None:
 
 @pytest.mark.usefixtures("unchecked_shapes")
 @pytest.mark.parametrize(
-    "knobs",
+    "options",
     [
         {"slots": "vehicles", "rsu": True},
         {"n_vehicles": 3, "n_attackers": 1, "norm": "l2", "budget": 5.0, "action": "basis"},
@@ -108,10 +108,10 @@ def test_state_is_every_vehicles_own_map(toy_env: Make) -> None:
         {"knowledge": "gray-box", "reward": "stealth", "grace_frames": 0, "max_frames": 1},
         {"render_mode": "rgb_array", "action": "basis"},
     ],
-    ids=lambda knobs: "-".join(map(str, knobs)),
+    ids=lambda options: "-".join(map(str, options)),
 )
-def test_other_knobs_keep_the_rules(toy_env: Make, knobs: dict[str, Any]) -> None:
-    check_env(lambda: toy_env(**knobs), steps=5)
+def test_other_options_keep_the_rules(toy_env: Make, options: dict[str, Any]) -> None:
+    check_env(lambda: toy_env(**options), steps=5)
 
 
 def test_slots_are_constant_whoever_is_drawn(toy_env: Make) -> None:
@@ -120,10 +120,10 @@ def test_slots_are_constant_whoever_is_drawn(toy_env: Make) -> None:
     for seed in range(8):
         _, infos = env.reset(seed=seed)
         assert env.agents == env.possible_agents == ["adversary_0", "adversary_1"]
-        assert all(info["liar"] == 1 for info in infos.values())
+        assert all(info["malicious"] == 1 for info in infos.values())
         drawn.add(tuple(info["vehicle"] for info in infos.values()))
     assert len(drawn) > 3
-    assert any(0 in pair for pair in drawn), "the ego may lie, too"
+    assert any(0 in pair for pair in drawn), "the ego may be an attacker, too"
 
 
 def test_attackers_can_be_fixed(toy_env: Make) -> None:
@@ -133,22 +133,22 @@ def test_attackers_can_be_fixed(toy_env: Make) -> None:
         assert {info["vehicle"] for info in infos.values()} == {0, 3}
 
 
-def test_honest_vehicles_are_flagged_and_powerless(toy_env: Make) -> None:
-    quiet, loud = toy_env(slots="vehicles", action="full"), toy_env(slots="vehicles", action="full")
-    assert quiet.possible_agents == [f"vehicle_{i}" for i in range(5)]
-    _, infos = quiet.reset(seed=5)
+def test_benign_vehicles_are_marked_and_powerless(toy_env: Make) -> None:
+    silent, loud = toy_env(slots="vehicles", action="full"), toy_env(slots="vehicles", action="full")
+    assert silent.possible_agents == [f"vehicle_{i}" for i in range(5)]
+    _, infos = silent.reset(seed=5)
     loud.reset(seed=5)
-    honest = {agent for agent, info in infos.items() if not info["liar"]}
-    assert len(honest) == 3
+    benign = {agent for agent, info in infos.items() if not info["malicious"]}
+    assert len(benign) == 3
     for _ in range(2):
-        silence = {agent: np.zeros((8, 32, 32), np.float32) for agent in quiet.agents}
-        shouting = {agent: action + (agent in honest) for agent, action in silence.items()}
-        a, b = quiet.step(silence), loud.step(shouting)
+        zeros = {agent: np.zeros((8, 32, 32), np.float32) for agent in silent.agents}
+        shouting = {agent: action + (agent in benign) for agent, action in zeros.items()}
+        a, b = silent.step(zeros), loud.step(shouting)
         assert a[1] == b[1] and a[4] == b[4]
-        assert all(b[4][agent]["perturbation_norm"] == 0 for agent in honest)
+        assert all(b[4][agent]["perturbation_norm"] == 0 for agent in benign)
 
 
-def test_grace_frames_are_honest(toy_env: Make) -> None:
+def test_grace_frames_are_benign(toy_env: Make) -> None:
     env = toy_env(action="full", grace_frames=2)
     env.reset(seed=0)
     norms = []

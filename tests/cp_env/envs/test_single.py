@@ -24,8 +24,8 @@ Make = Callable[..., CollaborativePerceptionEnv]
 def make(bank: SceneBank) -> Callable[..., gymnasium.Env[Any, Any]]:
     """By its registered id: gymnasium's checker makes further ones from the spec."""
 
-    def make(**knobs: Any) -> gymnasium.Env[Any, Any]:
-        return gymnasium.make(cp_env.ENV_ID, bank=bank, **{"max_frames": FRAMES, **knobs})
+    def make(**options: Any) -> gymnasium.Env[Any, Any]:
+        return gymnasium.make(cp_env.ENV_ID, bank=bank, **{"max_frames": FRAMES, **options})
 
     return make
 
@@ -39,9 +39,9 @@ def test_gymnasiums_check_of_feature_maps(make: Any) -> None:
     check_env(make(observation="features", render_mode="rgb_array").unwrapped)
 
 
-def test_liars_may_be_fixed_by_any_sequence(make: Any) -> None:
-    for liars in ([1, 3], (1, 3), range(1, 4, 2)):
-        _, info = make(attackers=liars).reset(seed=0)
+def test_attackers_may_be_fixed_by_any_sequence(make: Any) -> None:
+    for attackers in ([1, 3], (1, 3), range(1, 4, 2)):
+        _, info = make(attackers=attackers).reset(seed=0)
         assert info["vehicle"].tolist() == [1, 3]
 
 

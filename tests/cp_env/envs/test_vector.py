@@ -24,8 +24,8 @@ Make = Callable[..., JointAdversaryVectorEnv]
 
 @pytest.fixture
 def make(bank: SceneBank) -> Make:
-    def make(num_envs: int = 3, **knobs: Any) -> JointAdversaryVectorEnv:
-        return JointAdversaryVectorEnv(num_envs, bank=bank, **{"max_frames": FRAMES, "action": "basis", **knobs})
+    def make(num_envs: int = 3, **options: Any) -> JointAdversaryVectorEnv:
+        return JointAdversaryVectorEnv(num_envs, bank=bank, **{"max_frames": FRAMES, "action": "basis", **options})
 
     return make
 

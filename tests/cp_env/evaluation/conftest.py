@@ -6,22 +6,22 @@ from pathlib import Path
 
 import pytest
 
-from agents.arena import make_attacker
-from cp_env.evaluation import Crew, Store, prepare, run
-from tests.helpers.toy_evaluation import CELLS, PROTOCOL, contents, report, ticking
+from agents.arena import make_attack
+from cp_env.evaluation import Store, Workers, execute, prepare
+from tests.helpers.toy_evaluation import CONDITIONS, RUNS, contents, report, ticking
 
 
 @pytest.fixture
-def crew() -> Crew:
-    return ticking(make_attacker=make_attacker)
+def workers() -> Workers:
+    return ticking(make_attack=make_attack)
 
 
 @pytest.fixture(scope="session")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("whole")
-    crew = ticking(make_attacker=make_attacker)
-    assert list(prepare(CELLS, PROTOCOL, crew)) == ["toy-0", "toy-1"]
-    assert list(run(CELLS, PROTOCOL, Store(folder), crew)) == CELLS
+    workers = ticking(make_attack=make_attack)
+    assert list(prepare(RUNS, CONDITIONS, workers)) == ["toy-0", "toy-1"]
+    assert list(execute(RUNS, CONDITIONS, Store(folder), workers)) == RUNS
     report(folder)
-    assert len(contents(folder)) == len(CELLS) + 2
+    assert len(contents(folder)) == len(RUNS) + 2
     return folder

@@ -45,7 +45,7 @@ def moved(boxes: np.ndarray, x: float, y: float, yaw: float) -> np.ndarray:
     [
         ([0, 0, 4, 2, 0], [0, 0, 4, 2, 0], 1.0),  # identical
         ([0, 0, 4, 2, 0], [2, 0, 4, 2, 0], 4 / 12),  # half a length on
-        ([0, 0, 4, 2, 0], [0, 1, 4, 2, 0], 4 / 12),  # half a width aside
+        ([0, 0, 4, 2, 0], [0, 1, 4, 2, 0], 4 / 12),  # half a width to the side
         ([0, 0, 4, 2, 0], [4, 0, 4, 2, 0], 0.0),  # touching along an edge
         ([0, 0, 4, 2, 0], [4, 2, 4, 2, 0], 0.0),  # touching at a corner
         ([0, 0, 4, 2, 0], [0, 0, 4, 2, math.pi], 1.0),  # front for back

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.testing import assert_array_equal
 
-from cp_env.lidar.returns import CLEARANCE, MARGIN, count_returns, handed_over
+from cp_env.lidar.returns import CLEARANCE, MARGIN, count_returns, to_world_axes
 
 
 def test_returns_in_boxes_against_a_loop() -> None:
@@ -34,7 +34,7 @@ def test_points_are_handed_over_as_by_one_plain_formula() -> None:
         points = rng.normal(0, 6, (20_000, 3)).astype(dtype)
         turn, shift = np.linalg.qr(rng.normal(size=(3, 3)))[0], rng.normal(size=3)
         boxes = np.column_stack([rng.normal(0, 3, (5, 3)), rng.uniform(2, 6, (5, 3)), rng.uniform(-4, 4, 5)])
-        told, hits = handed_over(points, turn, shift, boxes, own)
+        told, hits = to_world_axes(points, turn, shift, boxes, own)
         plain = points @ turn.T.astype(dtype) + shift.astype(dtype)
         if own is not None:
             x, y, _, length, width, _, yaw = boxes[own]

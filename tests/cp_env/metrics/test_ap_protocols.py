@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from cp_env.evaluation.plan.records import Counted
+from cp_env.evaluation.plan.records import PooledApMeter
 from cp_env.geometry.planar import corners
 from cp_env.metrics.average_precision import RULES, ApMeter, average_precision, resampled_ap
 from cp_env.types import Detections
@@ -105,7 +105,7 @@ def test_meters_of_two_protocols_do_not_mix() -> None:
     with pytest.raises(ValueError, match="do not merge"):
         ApMeter(protocol="strict").merge(ApMeter(protocol="coperception"))
     with pytest.raises(ValueError, match="do not merge"):
-        Counted.pool([ApMeter(protocol="strict"), ApMeter(protocol="coperception")])
+        PooledApMeter.pool([ApMeter(protocol="strict"), ApMeter(protocol="coperception")])
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -120,7 +120,7 @@ def test_scenes_pool_and_resample(seed: int) -> None:
     for rows in ([0, 1, 2], [1], [0, 0, 2]):
         pooled = [frame for row in rows for frame in scenes[row]]
         assert resampled_ap(meters, 0.5)(np.array(rows)) == pytest.approx(theirs(pooled, 0.5))
-    assert Counted.pool(meters).value(0.5) == pytest.approx(
+    assert PooledApMeter.pool(meters).value(0.5) == pytest.approx(
         theirs([frame for frames in scenes for frame in frames], 0.5)
     )
 

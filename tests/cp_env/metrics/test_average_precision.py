@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from cp_env.metrics.average_precision import ApMeter, average_precision, resampled_ap
-from cp_env.metrics.identification import id_rate, mc_rate, recovery
 from cp_env.types import Detections
 from tests.reference import boxes as twin
 
@@ -192,20 +191,3 @@ def test_bad_input_is_refused() -> None:
     with pytest.raises(ValueError, match="do not merge"):
         meter.merge(ApMeter([0.7]))
     assert (meter.n_frames, meter.n_truth) == (0, 0)  # what was refused was not counted
-
-
-def test_identification_worked_by_hand() -> None:
-    assert id_rate({1, 2, 3}, {2, 4}) == 0.5
-    assert mc_rate({1, 2, 3}, {2, 4}, n=6) == 2 / 4
-    assert id_rate(frozenset(), {0}) == mc_rate((), {0}, n=5) == 0
-    assert id_rate({0}, ()) == 1  # nobody lies: all none of them are found
-    assert mc_rate({0}, {0, 1}, n=2) == 0  # nobody is benign
-
-
-def test_recovery_worked_by_hand() -> None:
-    assert recovery(0.7, attacked=0.4, clean=0.8) == pytest.approx(0.75)
-    assert recovery(0.8, 0.4, 0.8) == 1
-    assert recovery(0.2, 0.4, 0.8) == pytest.approx(-0.5)
-    assert recovery(0.9, 0.4, 0.8) == pytest.approx(1.25)
-    assert recovery(0.8, 0.8, 0.8) == 1  # nothing was lost, nothing is missing
-    assert recovery(0.7, 0.8, 0.8) == 0

@@ -64,6 +64,6 @@ def test_the_grid_begins_on_the_lattice(scene: Scene) -> None:
     """An ego 0.9 m short of the lattice point at (102, 50) has its grid, and so its range, there."""
     pose = scene.pose.copy()
     pose[0, 1] = [101.1, 50.3, 0.2]
-    aside = Scene(**{**vars(scene), "pose": pose})
-    assert rows_in_range(aside, 0, ego=1, extent=32.0).tolist() == [0, 2, 3]
-    np.testing.assert_allclose(truth_boxes(aside, 0, 1, 32.0)[0], [3, 0, 4, 2, 0.5], atol=1e-5)
+    shifted = Scene(**{**vars(scene), "pose": pose})
+    assert rows_in_range(shifted, 0, ego=1, extent=32.0).tolist() == [0, 2, 3]
+    np.testing.assert_allclose(truth_boxes(shifted, 0, 1, 32.0)[0], [3, 0, 4, 2, 0.5], atol=1e-5)

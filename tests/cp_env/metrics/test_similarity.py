@@ -1,4 +1,4 @@
-"""How alike two views are: matching, Jaccard similarity (Eq. 5), the ego's motion, agreement of score maps."""
+"""Similarity of two views: matching, Jaccard similarity (Eq. 5), the ego's motion, agreement of score maps."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_jaccard_worked_by_hand() -> None:
 
 
 def test_iou_must_exceed_the_threshold() -> None:
-    """A car half a width aside shares a third of the union: 4 of 12."""
+    """A car half a width to the side shares a third of the union: 4 of 12."""
     assert jaccard(cars((0, 0)), cars((0, 1)), iou=0.33) == 1
     assert jaccard(cars((0, 0)), cars((0, 1)), iou=1 / 3 + 1e-12) == 0
 
@@ -85,7 +85,7 @@ def test_laws_of_the_jaccard(seed: int) -> None:
     a, b = (crowd(int(rng.integers(0, 20)), seed + k) for k in range(2))
     values = [jaccard(a, b, iou) for iou in (0.0, 0.3, 0.6, 0.9)]
     assert all(0 <= value <= 1 for value in values)
-    assert values == sorted(values, reverse=True)  # a stricter match never makes two sets more alike
+    assert values == sorted(values, reverse=True)  # a stricter match never makes two sets more similar
     assert values == [jaccard(b, a, iou) for iou in (0.0, 0.3, 0.6, 0.9)]
     assert jaccard(rng.permutation(a), rng.permutation(b), 0.3) == values[1]
     assert jaccard(a, a, 0.9) == 1
@@ -124,7 +124,7 @@ def test_without_motion_nothing_is_left_out() -> None:
     assert view_similarity(view(rim), view(cars((0, 0)))) == 1 / 2
 
 
-def test_views_without_common_ground_are_not_alike() -> None:
+def test_views_without_common_ground_have_similarity_zero() -> None:
     here, there = view(NOTHING, 0), view(NOTHING, 50, origin=(64.0, 0.0))
     assert view_similarity(here, there) == 0
     assert agreement(here, there) == 0

@@ -1,4 +1,4 @@
-"""The ball is the ball: projection, norms and the rows that lies are added to."""
+"""The ball is the ball: projection, norms and the rows that perturbations are added to."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ def test_norms_by_hand() -> None:
     assert project(delta, 1.0, "l2")[0, 0, 1, 1].item() == pytest.approx(-0.8)
 
 
-def test_lies_are_added_to_the_liars_rows_only() -> None:
+def test_perturbations_are_added_to_the_attackers_rows_only() -> None:
     received = torch.zeros(2, 4, 1, 2, 2)
-    lies = torch.stack([torch.full((2, 1, 2, 2), 1.0), torch.full((2, 1, 2, 2), 2.0)])
-    attacked = inject(received, lies, torch.tensor([[0, 3], [1, 2]]))
+    perturbations = torch.stack([torch.full((2, 1, 2, 2), 1.0), torch.full((2, 1, 2, 2), 2.0)])
+    attacked = inject(received, perturbations, torch.tensor([[0, 3], [1, 2]]))
     assert np.array_equal(attacked.amax((2, 3, 4)).numpy(), [[1, 0, 0, 1], [0, 2, 2, 0]])
     assert not received.any()

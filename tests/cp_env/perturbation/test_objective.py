@@ -33,26 +33,30 @@ def test_nothing_changed_is_no_loss(part: str) -> None:
 
 
 def test_hiding_one_of_two_counts_half_the_fall_of_its_logit_up_to_the_margin() -> None:
-    clean, lie = _street(), _street()
-    lie[0, 10, 10] = -1.0
-    loss = adversarial_loss(_dense(lie), _dense(clean), **_only("hide"))
+    clean, attacked = _street(), _street()
+    attacked[0, 10, 10] = -1.0
+    loss = adversarial_loss(_dense(attacked), _dense(clean), **_only("hide"))
     assert loss.item() == pytest.approx((4.0 + 1.0) / 2, rel=1e-5)
-    lie[0, 10, 10] = -50.0
-    loss = adversarial_loss(_dense(lie), _dense(clean), **_only("hide"))
+    attacked[0, 10, 10] = -50.0
+    loss = adversarial_loss(_dense(attacked), _dense(clean), **_only("hide"))
     assert loss.item() == pytest.approx((4.0 + MARGIN) / 2, rel=1e-5)
 
 
 def test_a_ghost_counts_once_a_block_up_to_the_margin() -> None:
-    clean, lie = _street(), _street()
-    lie[0, 1, 1] = 50.0
+    clean, attacked = _street(), _street()
+    attacked[0, 1, 1] = 50.0
     objects = 2 * torch.tensor(4.0).sigmoid().item()
     before = math.log1p(16 * math.exp(-6.0))
     expected = (math.log1p(math.exp(MARGIN)) - before) / objects
-    assert adversarial_loss(_dense(lie), _dense(clean), **_only("spoof")).item() == pytest.approx(expected, rel=1e-4)
-    lie[0, 2, 2] = 50.0  # the same block
-    assert adversarial_loss(_dense(lie), _dense(clean), **_only("spoof")).item() == pytest.approx(expected, rel=1e-4)
-    lie[0, 2, 5] = 50.0  # the next one
-    assert adversarial_loss(_dense(lie), _dense(clean), **_only("spoof")).item() == pytest.approx(
+    assert adversarial_loss(_dense(attacked), _dense(clean), **_only("spoof")).item() == pytest.approx(
+        expected, rel=1e-4
+    )
+    attacked[0, 2, 2] = 50.0  # the same block
+    assert adversarial_loss(_dense(attacked), _dense(clean), **_only("spoof")).item() == pytest.approx(
+        expected, rel=1e-4
+    )
+    attacked[0, 2, 5] = 50.0  # the next one
+    assert adversarial_loss(_dense(attacked), _dense(clean), **_only("spoof")).item() == pytest.approx(
         2 * expected, rel=1e-4
     )
 
@@ -81,14 +85,15 @@ def test_a_promising_background_cell_pulls_harder_than_an_easy_one() -> None:
 
 
 def test_the_place_weighs_every_part() -> None:
-    clean, lie = _street(), _street()
-    lie[0, 10, 10], lie[0, 1, 1], lie[0, 20, 20], lie[0, 30, 30] = -2.0, 3.0, -2.0, 3.0
+    clean, attacked = _street(), _street()
+    attacked[0, 10, 10], attacked[0, 1, 1], attacked[0, 20, 20], attacked[0, 30, 30] = -2.0, 3.0, -2.0, 3.0
     near = torch.zeros(1, 32, 32)
     near[:, :16] = 1
     far = 1 - near
     for part in PARTS:
         of = [
-            adversarial_loss(_dense(lie, 0.3), _dense(clean), where=w, **_only(part)) for w in (near, far, near + far)
+            adversarial_loss(_dense(attacked, 0.3), _dense(clean), where=w, **_only(part))
+            for w in (near, far, near + far)
         ]
         assert (of[0] + of[1]).item() == pytest.approx(of[2].item(), rel=1e-5)
         assert of[0].item() == pytest.approx(of[1].item(), rel=1e-5)
@@ -96,11 +101,13 @@ def test_the_place_weighs_every_part() -> None:
 
 def test_weights_of_a_view_are_its_own() -> None:
     clean = _street().repeat(2, 1, 1)
-    lie = clean.clone()
-    lie[:, 10, 10], lie[:, 1, 1] = -2.0, 3.0
-    both = adversarial_loss(_dense(lie), _dense(clean), hide=torch.tensor([1.0, 0.0]), spoof=torch.tensor([0.0, 1.0]))
-    assert both[0] == adversarial_loss(_dense(lie[:1]), _dense(clean[:1]), **_only("hide"))
-    assert both[1] == adversarial_loss(_dense(lie[:1]), _dense(clean[:1]), **_only("spoof"))
+    attacked = clean.clone()
+    attacked[:, 10, 10], attacked[:, 1, 1] = -2.0, 3.0
+    both = adversarial_loss(
+        _dense(attacked), _dense(clean), hide=torch.tensor([1.0, 0.0]), spoof=torch.tensor([0.0, 1.0])
+    )
+    assert both[0] == adversarial_loss(_dense(attacked[:1]), _dense(clean[:1]), **_only("hide"))
+    assert both[1] == adversarial_loss(_dense(attacked[:1]), _dense(clean[:1]), **_only("spoof"))
 
 
 def test_an_empty_street_gives_a_finite_loss_and_gradient() -> None:

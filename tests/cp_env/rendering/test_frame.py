@@ -31,7 +31,7 @@ NOTHING = Picture(
     truth=boxes(),
     seen=detections(),
     output=detections(),
-    liars=frozenset(),
+    attackers=frozenset(),
     suspects=frozenset(),
     collaborators=frozenset({0}),
     similarity=(),
@@ -83,19 +83,19 @@ def test_points_lie_where_they_were_measured_and_the_ego_s_on_top() -> None:
         assert frame.STREET in colours_in(image, left, 10.0, -20.0, radius=2)
 
 
-def test_liars_are_ringed_in_both_panels_and_suspects_crossed_in_the_defended_one() -> None:
+def test_attackers_are_ringed_in_both_panels_and_suspects_crossed_in_the_defended_one() -> None:
     picture = replace(
         NOTHING,
         points=[],
         places=np.array([[0.0, 0.0], [12.0, 5.0], [-12.0, 5.0]]),
-        liars=frozenset({1}),
+        attackers=frozenset({1}),
         suspects=frozenset({2}),
         collaborators=frozenset({0, 1}),
     )
     image = draw(picture)
     for left in (frame.LEFT, frame.RIGHT):
-        assert frame.LIAR in colours_in(image, left, 12.0, 5.0)
-        assert frame.LIAR not in colours_in(image, left, -12.0, 5.0)
+        assert frame.ATTACKER in colours_in(image, left, 12.0, 5.0)
+        assert frame.ATTACKER not in colours_in(image, left, -12.0, 5.0)
         assert frame.SUSPECT not in colours_in(image, left, 12.0, 5.0)
     assert frame.SUSPECT not in colours_in(image, frame.LEFT, -12.0, 5.0)
     assert frame.SUSPECT in colours_in(image, frame.RIGHT, -12.0, 5.0)
@@ -148,8 +148,8 @@ def test_wrong_rows_by_hand(seen: np.ndarray, truth: np.ndarray, ghosts: set[int
 
 
 def test_a_gif_plays_every_frame_and_needs_one(tmp_path: Path) -> None:
-    cast = replace(NOTHING, liars=frozenset({0}), suspects=frozenset({0}), seen=detections((20, 20)))
-    frames = [draw(replace(cast, frame=t, truth=boxes((t, 9)))) for t in range(6)]
+    picture = replace(NOTHING, attackers=frozenset({0}), suspects=frozenset({0}), seen=detections((20, 20)))
+    frames = [draw(replace(picture, frame=t, truth=boxes((t, 9)))) for t in range(6)]
     path = write_gif(frames, tmp_path / "deep" / "episode.gif", fps=5)
     with Image.open(path) as gif:
         assert gif.n_frames == 6
@@ -159,7 +159,7 @@ def test_a_gif_plays_every_frame_and_needs_one(tmp_path: Path) -> None:
         shown = np.asarray(gif.convert("RGB")).astype(int)
     assert np.abs(shown - frames[5]).mean() < 2
     for colour in (
-        frame.LIAR,
+        frame.ATTACKER,
         frame.SUSPECT,
         frame.GHOST,
         frame.MISSED,

@@ -179,7 +179,7 @@ def test_recordings_are_small() -> None:
     assert sum(path.stat().st_size for path in DATA.iterdir()) < 8e6
 
 
-def test_names_at_the_door() -> None:
+def test_names_of_sources() -> None:
     assert isinstance(TOWNS["train"], SceneSource)
     assert open_source("town").names() == open_source("town/train").names() == TOWNS["train"].names()
     assert open_source("town/test").name == "town/test"

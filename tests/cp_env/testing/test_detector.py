@@ -28,7 +28,7 @@ MUTANTS: list[tuple[str, type[Toy]]] = []
 
 
 def breaks(rule: Callable[..., None] | str) -> Callable[[type[Toy]], type[Toy]]:
-    """Enter a mutant into the list, beside the rule it breaks."""
+    """Enter a mutant into the list, with the rule it breaks."""
 
     def enter(mutant: type[Toy]) -> type[Toy]:
         MUTANTS.append((str(rule), mutant))
@@ -203,7 +203,7 @@ class ComparesViews(Seeing):
 
 
 @breaks("perceiving_is_a_loop")
-class LooksAtTheFirstWorld(Toy):
+class SeesTheFirstWorldOnly(Toy):
     """Right as long as there is only one."""
 
     def perceive(self, received: Tensor, coverage: Tensor, world: Tensor, groups: Tensor) -> Dense:
@@ -243,7 +243,7 @@ class Detached(Toy):
 
 @breaks("gradients_flow")
 class TrustsTheEgo(Toy):
-    """The ego's own map as if it could not be a lie."""
+    """The ego's own map as if it could not be perturbed."""
 
     def perceive(self, received: Tensor, coverage: Tensor, world: Tensor, groups: Tensor) -> Dense:
         ego, others = received[:, :1].detach(), received[:, 1:]
@@ -370,7 +370,7 @@ def test_lawful_detectors_keep_every_rule(make: Callable[[], DetectorLike]) -> N
 
 @pytest.mark.slow
 def test_so_does_coperception() -> None:
-    """All but one that its ten million weights would make long; `test_coperception` sees that its digest tells them."""
+    """All but one that its ten million weights would make long; `test_coperception` checks its digest."""
     detector = CoperceptionDetector(Weights(twin.random_state("max"), "a checkpoint"), "max", 3, "affine")
     skipped = "digest_tells_weights_apart"
     assert check_detector(detector, skip=[skipped]) == tuple(name for name in ALL if name != skipped)

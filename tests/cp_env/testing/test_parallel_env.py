@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from pettingzoo.test.example_envs import generated_agents_parallel_v0
 
-from cp_env.testing import GENERIC, HOUSE, RuleBroken, check_env
+from cp_env.testing import CP_ENV_RULES, PARALLEL_ENV_RULES, RuleBroken, check_env
 from tests.helpers import cp_env_mutants, parallel_env_mutants
 from tests.helpers.lawful_env import MUTANTS, Lawful
 
-ALL = {rule.__name__ for rule in GENERIC + HOUSE}
+ALL = {rule.__name__ for rule in PARALLEL_ENV_RULES + CP_ENV_RULES}
 
 
 def test_a_lawful_environment_keeps_every_rule() -> None:
@@ -62,4 +62,4 @@ class Foreign(Lawful):
 
 
 def test_our_own_rules_are_left_out_for_others() -> None:
-    assert set(check_env(Foreign)) == {rule.__name__ for rule in GENERIC}
+    assert set(check_env(Foreign)) == {rule.__name__ for rule in PARALLEL_ENV_RULES}

@@ -1,4 +1,4 @@
-"""Every source keeps the laws of `check_scenes`; for every law there is a source that breaks it, and is told so."""
+"""Every source keeps the laws of `check_scenes`; for every law there is a source that breaks it, and is named."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ def crossing() -> tuple[Scene, list[list[Sweep]]]:
     return scene, source.sweeps(scene, range(FRAMES))
 
 
-class Taped:
-    """One crossing with its sweeps on tape: a source that keeps every law, for mutants to break one each."""
+class Recorded:
+    """One crossing with its sweeps recorded: a source that keeps every law, for mutants to break one each."""
 
-    name, digest = "taped", "taped-1"
+    name, digest = "recorded", "recorded-1"
 
     def names(self) -> tuple[str, ...]:
         return ("toy-1",)
@@ -98,8 +98,8 @@ def in_degrees(pose: np.ndarray) -> None:
     pose[..., 2] = np.rad2deg(pose[..., 2])
 
 
-class Counting(Taped):
-    """Tells another story each time."""
+class Counting(Recorded):
+    """Gives another answer each time."""
 
     def __init__(self) -> None:
         self.calls = 0
@@ -111,10 +111,12 @@ class Forgetful(Counting):
         return ("toy-1",) if self.calls < 2 else ("toy-1", "toy-2")
 
 
-class Noisy(Taped):
+class Noisy(Recorded):
     def sweeps(self, scene: Scene, frames: Sequence[int]) -> list[list[Sweep]]:
         jitter = np.random.default_rng(len(frames)).normal(0, 0.01, 3).astype(np.float32)
-        return [[replace(s, points=s.points + jitter) for s in film] for film in super().sweeps(scene, frames)]
+        return [
+            [replace(s, points=s.points + jitter) for s in recording] for recording in super().sweeps(scene, frames)
+        ]
 
 
 class Drifting(Counting):
@@ -123,12 +125,12 @@ class Drifting(Counting):
         return replace(scene, size=scene.size + 1e-9 * self.calls)
 
 
-class Locked(Taped):
+class Locked(Recorded):
     def __init__(self) -> None:
-        self.door = lambda: None
+        self.closure = lambda: None
 
 
-class Reseeded(Taped):
+class Reseeded(Recorded):
     """Its digest does not survive the way to another process."""
 
     def __init__(self) -> None:
@@ -138,7 +140,7 @@ class Reseeded(Taped):
         self.digest = "second"
 
 
-class Cyclic(Taped):
+class Cyclic(Recorded):
     def sweeps(self, scene: Scene, frames: Sequence[int]) -> list[list[Sweep]]:
         return super().sweeps(scene, [t % FRAMES for t in frames])
 
@@ -158,7 +160,7 @@ def turned(self: Any, scene: Scene, t: int, agent: int, sweep: Sweep) -> Sweep:
     return replace(sweep, points=sweep.points @ turn, hits=None)
 
 
-class SelfAware(Taped):
+class SelfAware(Recorded):
     def sweep(self, scene: Scene, t: int, agent: int, sweep: Sweep) -> Sweep:
         return replace(sweep, points=np.concatenate([sweep.points, np.array([[0.1, 0.1, 1.0]], dtype=np.float32)]))
 
@@ -168,16 +170,16 @@ def boastful(self: Any, scene: Scene, t: int, agent: int, sweep: Sweep) -> Sweep
     return replace(sweep, hits=sweep.hits[::-1].copy())
 
 
-def of(base: type[Taped] = Taped, **members: Any) -> Callable[[], Any]:
+def of(base: type[Recorded] = Recorded, **members: Any) -> Callable[[], Any]:
     return type("Mutant", (base,), members)
 
 
 def without_last(self: Any, scene: Scene, frames: Sequence[int]) -> list[list[Sweep]]:
-    return [film[:-1] for film in Taped.sweeps(self, scene, frames)]
+    return [recording[:-1] for recording in Recorded.sweeps(self, scene, frames)]
 
 
 def unit_first(self: Any, scene: Scene, frames: Sequence[int]) -> list[list[Sweep]]:
-    return [[film[-1], *film[:-1]] for film in Taped.sweeps(self, scene, frames)]
+    return [[recording[-1], *recording[:-1]] for recording in Recorded.sweeps(self, scene, frames)]
 
 
 def with_fields(**fields: Any) -> Callable[[], Any]:
@@ -248,7 +250,7 @@ def miniature(source: SceneSource, folder: Path) -> OPV2V:
 def test_every_source_keeps_every_law(tmp_path: Path) -> None:
     toy = ToySource(n_frames=FRAMES, n_connected=2)
     every = tuple(law.__name__ for law in LAWS)
-    for source in (Taped(), toy, Clip(Town("test"), vehicles=2), miniature(toy, tmp_path)):
+    for source in (Recorded(), toy, Clip(Town("test"), vehicles=2), miniature(toy, tmp_path)):
         assert check_scenes(source, frames=2) == every, source.name
 
 

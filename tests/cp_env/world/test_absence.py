@@ -15,7 +15,7 @@ from defenders.protocol import Defender, Frame, Inspection, Query, Verdict
 
 
 class Nosy(Defender):
-    """Asks for everyone it was told of, together and one by one, and fuses all; notes who was there."""
+    """Verifies all vehicles, together and one by one, and fuses all; records the present ones."""
 
     def reset(self, n_vehicles: int, rng: np.random.Generator) -> None:
         self.n, self.present, self.groups = n_vehicles, [], []
@@ -27,12 +27,14 @@ class Nosy(Defender):
         return Verdict(range(self.n))
 
 
-def played(bank: SceneBank, absent: Any, frames: int = 3, **knobs: Any) -> tuple[World, list[Outcome]]:
-    world = World(1, **{"defender": Nosy(), "bank": bank, "n_vehicles": 3, "max_frames": 6, "grace_frames": 0, **knobs})
+def played(bank: SceneBank, absent: Any, frames: int = 3, **options: Any) -> tuple[World, list[Outcome]]:
+    world = World(
+        1, **{"defender": Nosy(), "bank": bank, "n_vehicles": 3, "max_frames": 6, "grace_frames": 0, **options}
+    )
     world.reset([0], options={"absent": absent})
     size = world.detector.channels, world.detector.size, world.detector.size
-    lies = torch.randn((frames, 1, world.settings.k, *size), generator=torch.Generator().manual_seed(0))
-    return world, [world.step(lie) for lie in lies]
+    perturbations = torch.randn((frames, 1, world.settings.k, *size), generator=torch.Generator().manual_seed(0))
+    return world, [world.step(perturbation) for perturbation in perturbations]
 
 
 def test_an_absent_vehicle_is_in_no_view(bank: SceneBank) -> None:
@@ -46,7 +48,7 @@ def test_an_absent_vehicle_is_in_no_view(bank: SceneBank) -> None:
     assert outcomes[1].verifications[0] == 4  # as asked
 
 
-def test_an_absent_liar_lies_to_nobody(bank: SceneBank) -> None:
+def test_an_absent_attacker_attacks_nobody(bank: SceneBank) -> None:
     _, outcomes = played(bank, {1: range(2)}, attackers=(1,))
     assert [float(outcome.damage[0]) for outcome in outcomes[:2]] == [0, 0]
     assert [bool(outcome.perturbation_norm[0, 0]) for outcome in outcomes] == [False, False, True]

@@ -1,4 +1,4 @@
-"""What a white-box attacker may know of the defence: its state and algorithm, never its coins; it changes nothing."""
+"""What a white-box attack may know of the defence: state and algorithm, never its rng; it changes nothing."""
 
 from __future__ import annotations
 
@@ -11,40 +11,40 @@ import pytest
 import defenders
 from cp_env.world.scene_cache import SceneBank
 from cp_env.world.situation import Situation
-from tests.cp_env.world.test_world import Curious, figures, lies, make, play
+from tests.cp_env.world.test_world import Curious, figures, make, perturbations, play
 
 
-def coins(seed: int, n: int = 2) -> list[np.random.Generator]:
+def rngs(seed: int, n: int = 2) -> list[np.random.Generator]:
     return np.random.default_rng(seed).spawn(n)
 
 
 @pytest.mark.parametrize("defender", [name for name in defenders.names() if name != "oracle"])
-def test_a_rehearsal_foretells_the_frame_but_for_the_coins_and_changes_nothing(bank: SceneBank, defender: str) -> None:
+def test_a_simulation_predicts_the_frame_but_for_the_rng_and_changes_nothing(bank: SceneBank, defender: str) -> None:
     expected = play(make(bank, 2, defender=defender, grace_frames=0), [1, 2])
     world = make(bank, 2, defender=defender, grace_frames=0)
     world.reset([1, 2])
     for t in range(6):
         situation = world.situation()
-        situation.rehearse(lies(world, t + 50), coins(t))
-        minds = pickle.dumps(world.defenders)
-        foretold = situation.rehearse(lies(world, t), [copy.deepcopy(state.coins) for state in world._worlds])
-        assert pickle.dumps(world.defenders) == minds
-        played = world.step(lies(world, t))
+        situation.simulate(perturbations(world, t + 50), rngs(t))
+        before = pickle.dumps(world.defenders)
+        simulated = situation.simulate(perturbations(world, t), [copy.deepcopy(state.rng) for state in world._worlds])
+        assert pickle.dumps(world.defenders) == before
+        played = world.step(perturbations(world, t))
         for e in range(2):
-            assert figures(foretold, e) == figures(played, e) == expected[e][t]
-            assert foretold.judgements[e].groups == played.judgements[e].groups
+            assert figures(simulated, e) == figures(played, e) == expected[e][t]
+            assert simulated.judgements[e].groups == played.judgements[e].groups
 
 
-def test_an_attackers_coins_are_its_own(bank: SceneBank) -> None:
+def test_an_attacks_rng_is_its_own(bank: SceneBank) -> None:
     world = make(bank, 2, defender=Curious())
     world.reset([1, 2])
 
     def asked(seed: int) -> list[tuple[frozenset[int], ...]]:
-        return [j.groups for j in world.situation().rehearse(lies(world, 0), coins(seed)).judgements]
+        return [j.groups for j in world.situation().simulate(perturbations(world, 0), rngs(seed)).judgements]
 
     assert asked(3) == asked(3)
     assert len({str(asked(seed)) for seed in range(8)}) > 1
-    assert len({str(asked(seed)[0]) for seed in range(8)}) > 1, "each world has coins of its own"
+    assert len({str(asked(seed)[0]) for seed in range(8)}) > 1, "each world has an rng of its own"
 
 
 def test_the_situation_shows_what_the_ego_did_last(bank: SceneBank) -> None:
@@ -52,7 +52,7 @@ def test_the_situation_shows_what_the_ego_did_last(bank: SceneBank) -> None:
     world.reset([1, 2])
     first: Situation = world.situation()
     assert first.output == first.verdict == (None, None)
-    outcome = world.step(lies(world, 0))
+    outcome = world.step(perturbations(world, 0))
     later = world.situation()
     assert later.output == outcome.output and later.verdict == outcome.verdicts
     assert later.place.shape == (2, 2) and not np.array_equal(later.place, first.place)

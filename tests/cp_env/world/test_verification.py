@@ -1,4 +1,4 @@
-"""The referee: counts, lock-step, and what a hostile defender cannot do."""
+"""Verification in the world: counts, lock-step, and what a hostile defender cannot do."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 
 from cp_env.metrics.similarity import view_similarity
 from cp_env.types import Detections, View
-from cp_env.world.verification import Frame, Pair, foresee, judge
+from cp_env.world.verification import Frame, Pair, judge, prefetch_similarities
 from defenders.protocol import Defender, Inspection, Query, Verdict
 
 N = 4
@@ -21,7 +21,7 @@ def view_of(group: Iterable[int]) -> View:
 
 
 class Scripted(Defender):
-    """Asks what it is told to and keeps what it was shown."""
+    """Sends scripted queries and keeps the views it is given."""
 
     max_queries = 5
 
@@ -36,7 +36,7 @@ class Scripted(Defender):
         return self.verdict
 
 
-class Eyes:
+class Perceiver:
     """Answers with the group's own view and keeps a log of every forward."""
 
     def __init__(self) -> None:
@@ -47,18 +47,18 @@ class Eyes:
         return [view_of(group) for _, group in pairs]
 
 
-def run(*defenders: Defender) -> tuple[list, Eyes]:
-    eyes = Eyes()
+def run(*defenders: Defender) -> tuple[list, Perceiver]:
+    perceive = Perceiver()
     frames = [Frame(3, N, view_of(range(N))) for _ in defenders]
-    return judge(frames, defenders, eyes), eyes
+    return judge(frames, defenders, perceive), perceive
 
 
 def test_one_forward_a_round_for_all_worlds() -> None:
     chatty = Scripted([Query([{0}, {1}]), Query([{2}])], Verdict({2}))
     silent = Scripted([], Verdict(range(N)))
     brief = Scripted([Query([{3}])], Verdict({0, 1}))
-    judgements, eyes = run(chatty, silent, brief)
-    assert [sorted((e, sorted(g)) for e, g in call) for call in eyes.calls] == [
+    judgements, perceive = run(chatty, silent, brief)
+    assert [sorted((e, sorted(g)) for e, g in call) for call in perceive.calls] == [
         [(0, [0]), (0, [1]), (2, [3])],
         [(0, [2])],
         [(2, [0, 1])],
@@ -75,9 +75,9 @@ def test_answers_come_in_the_order_asked() -> None:
 
 def test_a_group_asked_twice_is_computed_once_and_counted_twice() -> None:
     asker = Scripted([Query([{1}, {1}]), Query([{1}])], Verdict({1}))
-    (judgement,), eyes = run(asker)
+    (judgement,), perceive = run(asker)
     assert judgement.verifications == 3
-    assert sum(len(call) for call in eyes.calls) == 1
+    assert sum(len(call) for call in perceive.calls) == 1
 
 
 def test_a_reference_that_the_paper_does_not_count_is_free() -> None:
@@ -87,8 +87,8 @@ def test_a_reference_that_the_paper_does_not_count_is_free() -> None:
 
 
 def test_the_view_of_everyone_is_never_computed_again() -> None:
-    (judgement,), eyes = run(Scripted([Query([range(N)])], Verdict(range(N))))
-    assert eyes.calls == []
+    (judgement,), perceive = run(Scripted([Query([range(N)])], Verdict(range(N))))
+    assert perceive.calls == []
     assert judgement.verifications == 1
 
 
@@ -104,11 +104,11 @@ class Raises(Scripted):
         (Raises([], None), r"Raises failed in frame 3: KeyError: 'my own bug'"),
         (Scripted([Query([[]])], None), r"a group must hold"),
         (Scripted([Query([{7}])], None), r"vehicles 0\.\.3, not \[7\]"),
-        (Scripted(["look!"], None), r"must yield a Query, not str"),
+        (Scripted(["verify!"], None), r"must yield a Query, not str"),
         (Scripted([Query([{0}])] * 9, None), r"max_queries = 5"),
         (Scripted([], None), r"must return a Verdict, not NoneType"),
         (Scripted([], Verdict([])), r"must fuse at least one"),
-        (Scripted([], Verdict({0}, {9})), r"accuse \[9\]"),
+        (Scripted([], Verdict({0}, {9})), r"flag \[9\]"),
     ],
 )
 def test_a_hostile_defender_ends_its_own_episode_and_no_other(hostile: Defender, message: str) -> None:
@@ -122,7 +122,7 @@ def test_a_hostile_defender_ends_its_own_episode_and_no_other(hostile: Defender,
     assert judgements[1].verdict == Verdict({1, 2}, {0, 3})
 
 
-def test_generators_are_closed_when_the_eyes_fail() -> None:
+def test_generators_are_closed_when_perceiving_fails() -> None:
     closed = []
 
     class Careful(Scripted):
@@ -134,19 +134,19 @@ def test_generators_are_closed_when_the_eyes_fail() -> None:
             return Verdict({0})
 
     def blind(pairs: list[Pair]) -> list[View]:
-        raise OSError("no eyes")
+        raise OSError("no view")
 
-    with pytest.raises(OSError, match="no eyes"):
+    with pytest.raises(OSError, match="no view"):
         judge([Frame(0, N, view_of(range(N)))], [Careful([], None)], blind)
     assert closed == [True]
 
 
-def test_a_frame_shows_nothing_about_lies() -> None:
+def test_a_frame_shows_nothing_about_perturbations() -> None:
     shown = {name for name in dir(Frame(0, N, view_of({0}))) if not name.startswith("_")}
     assert shown == {"index", "n_vehicles", "present", "seen", "similarity", "agreement"}
 
 
-def test_similarities_foreseen_are_those_computed_when_asked() -> None:
+def test_prefetched_similarities_are_those_computed_when_asked() -> None:
     rng = np.random.default_rng(0)
 
     def random_view(frame: int) -> View:
@@ -156,7 +156,7 @@ def test_similarities_foreseen_are_those_computed_when_asked() -> None:
 
     previous = random_view(0)
     frames = [Frame(1, N, random_view(1), previous), Frame(1, N, previous, previous), Frame(0, N, random_view(0))]
-    foresee([(frame, frame.seen) for frame in frames])
+    prefetch_similarities([(frame, frame.seen) for frame in frames])
     assert [len(frame._memo) for frame in frames] == [1, 1, 0]
     for frame in frames[:2]:
         assert frame.similarity(previous, frame.seen) == view_similarity(frame.seen, previous)

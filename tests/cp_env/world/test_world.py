@@ -15,11 +15,11 @@ from cp_env.world.situation import Outcome
 from cp_env.world.world import World
 from defenders.protocol import Defender, Frame, Inspection, Query, Verdict
 from examples.bring_your_own_detector import Toy
-from tests.reference.one_world import boxes_of, look
+from tests.reference.one_world import boxes_of, ego_view
 
 
 class Curious(Defender):
-    """Looks at every pair with vehicle 0 and at two singles, fuses the one most like everybody."""
+    """Verifies every pair with vehicle 0 and two singles, fuses the group most similar to everyone."""
 
     def reset(self, n_vehicles: int, rng: np.random.Generator) -> None:
         self.n, self.rng = n_vehicles, rng
@@ -31,11 +31,11 @@ class Curious(Defender):
         return Verdict(groups[best], set(range(self.n)) - groups[best])
 
 
-def make(bank: SceneBank, num_envs: int = 1, **knobs: object) -> World:
-    return World(num_envs, **{"defender": Curious(), "bank": bank, "max_frames": 6, **knobs})
+def make(bank: SceneBank, num_envs: int = 1, **options: object) -> World:
+    return World(num_envs, **{"defender": Curious(), "bank": bank, "max_frames": 6, **options})
 
 
-def lies(world: World, frame: int, worlds: list[int] | None = None) -> torch.Tensor:
+def perturbations(world: World, frame: int, worlds: list[int] | None = None) -> torch.Tensor:
     """Random perturbations that depend on the world's own number and the frame only."""
     shape = (world.settings.k, world.detector.channels, world.detector.size, world.detector.size)
     numbers = range(world.num_envs) if worlds is None else worlds
@@ -56,7 +56,7 @@ def figures(outcome: Outcome, e: int) -> list[object]:
 def play(world: World, seeds: list[int], worlds: list[int] | None = None) -> list[list[list[object]]]:
     """`[world][frame]` of one episode."""
     world.reset(seeds)
-    outcomes = [world.step(lies(world, t, worlds)) for t in range(6)]
+    outcomes = [world.step(perturbations(world, t, worlds)) for t in range(6)]
     return [[figures(o, e) for o in outcomes] for e in range(world.num_envs)]
 
 
@@ -65,14 +65,14 @@ def test_step_agrees_with_the_formula_written_out(bank: SceneBank) -> None:
     world.reset([5])
     name = world.places[0][0].scene.name
     for t in range(3):
-        delta = lies(world, t)
+        delta = perturbations(world, t)
         outcome = world.step(delta)
         sent = dict(zip((0, 3), delta[0], strict=True))
         for view in (outcome.seen[0], outcome.output[0]):
-            twin = look(bank.detector, bank.source, name, t, view.group, sent, budget=0.3)
+            twin = ego_view(bank.detector, bank.source, name, t, view.group, sent, budget=0.3)
             np.testing.assert_allclose(view.score_map, twin.score_map, atol=1e-3)  # half precision on the way
-        honest = look(bank.detector, bank.source, name, t, outcome.clean[0].group, {}, budget=0.3)
-        np.testing.assert_allclose(outcome.clean[0].score_map, honest.score_map, atol=3e-3)
+        unattacked = ego_view(bank.detector, bank.source, name, t, outcome.clean[0].group, {}, budget=0.3)
+        np.testing.assert_allclose(outcome.clean[0].score_map, unattacked.score_map, atol=3e-3)
 
 
 def test_a_world_in_a_batch_lives_as_it_would_alone(bank: SceneBank) -> None:
@@ -89,14 +89,14 @@ def test_resetting_one_world_does_not_disturb_another(bank: SceneBank) -> None:
     for t in range(6):
         if t == 3:
             world.reset([5], [0])
-        outcomes.append(figures(world.step(lies(world, t)), 1))
+        outcomes.append(figures(world.step(perturbations(world, t)), 1))
     assert outcomes == expected
 
 
 def test_same_seed_same_life_and_other_seeds_other_lives(bank: SceneBank) -> None:
     assert play(make(bank), [0]) == play(make(bank), [0])
     drawn = {play(make(bank), [s])[0][0][1].__repr__() for s in range(12)}
-    assert len(drawn) > 3, "liars must be drawn anew"
+    assert len(drawn) > 3, "attackers must be drawn anew"
 
 
 def test_reset_without_a_seed_goes_on_with_the_stream(bank: SceneBank) -> None:
@@ -113,7 +113,7 @@ def test_reset_without_a_seed_goes_on_with_the_stream(bank: SceneBank) -> None:
     assert len({str(d) for d in streams[0]}) > 3
 
 
-def test_the_ego_is_among_the_liars_as_often_as_anyone(bank: SceneBank) -> None:
+def test_the_ego_is_among_the_attackers_as_often_as_anyone(bank: SceneBank) -> None:
     world = make(bank)
     world.reset([0])
     counts = np.zeros(5)
@@ -128,7 +128,7 @@ def test_no_perturbation_exceeds_the_budget_and_none_passes_in_grace(bank: Scene
     world = make(bank, norm=norm, budget=0.2, grace_frames=2, defender="none")
     world.reset([0])
     for t in range(4):
-        outcome = world.step(100 * lies(world, t))
+        outcome = world.step(100 * perturbations(world, t))
         if t < 2:
             assert not outcome.perturbation_norm.any()
             assert outcome.damage[0] == pytest.approx(0.0, abs=0.1)  # the clean view went through half precision
@@ -136,12 +136,12 @@ def test_no_perturbation_exceeds_the_budget_and_none_passes_in_grace(bank: Scene
             np.testing.assert_allclose(outcome.perturbation_norm, 0.2, rtol=1e-4)
 
 
-def test_lies_do_damage_and_the_oracle_undoes_it(bank: SceneBank) -> None:
+def test_perturbations_do_damage_and_the_oracle_undoes_it(bank: SceneBank) -> None:
     total = {}
     for defender in ("none", "oracle"):
         world = make(bank, defender=defender, budget=3.0, grace_frames=0)
         world.reset([4])
-        total[defender] = sum(float(world.step(3 * lies(world, t).sign()).damage[0]) for t in range(4))
+        total[defender] = sum(float(world.step(3 * perturbations(world, t).sign()).damage[0]) for t in range(4))
     assert total["none"] > total["oracle"] + 0.5
 
 
@@ -162,10 +162,10 @@ def test_the_victim_is_frozen(bank: SceneBank) -> None:
 def test_pickling_between_frames_changes_nothing(bank: SceneBank) -> None:
     world = make(bank, 2, defender="prbi", grace_frames=0)
     world.reset([1, 2])
-    world.step(lies(world, 0))
+    world.step(perturbations(world, 0))
     twin = pickle.loads(pickle.dumps(world))
     for t in range(1, 6):
-        a, b = world.step(lies(world, t)), twin.step(lies(world, t))
+        a, b = world.step(perturbations(world, t)), twin.step(perturbations(world, t))
         assert [figures(a, e) for e in range(2)] == [figures(b, e) for e in range(2)]
 
 
@@ -178,8 +178,8 @@ def test_a_failing_defender_ends_its_episode_only(bank: SceneBank) -> None:
 
     world = make(bank, 6, defender=Fragile())
     world.reset(list(range(6)))
-    world.step(lies(world, 0))
-    outcome = world.step(lies(world, 1))
+    world.step(perturbations(world, 0))
+    outcome = world.step(perturbations(world, 1))
     failed = np.array([error is not None for error in outcome.errors])
     assert failed.any()
     assert not failed.all()
@@ -214,7 +214,7 @@ def test_options_fix_the_place_and_bad_ones_are_refused(bank: SceneBank) -> None
 def test_the_time_limit_truncates_exactly(bank: SceneBank) -> None:
     world = make(bank, max_frames=4, defender="none")
     world.reset([0])
-    ends = [bool(world.step(lies(world, t)).truncated[0]) for t in range(4)]
+    ends = [bool(world.step(perturbations(world, t)).truncated[0]) for t in range(4)]
     assert ends == [False, False, False, True]
 
 
@@ -227,10 +227,10 @@ def test_defenders_are_told_how_the_ego_fuses(bank: SceneBank) -> None:
     """By the detector, or by the settings where it does not say; before the first reset, every world's own."""
 
     class Listener(Curious):
-        told: tuple[str, ...] = ()
+        configured: tuple[str, ...] = ()
 
         def configure(self, *, fusion: str) -> None:
-            self.told += (fusion,)
+            self.configured += (fusion,)
 
     class Mute(SceneBank):
         """A bank whose detector has no fusion of that name."""
@@ -242,5 +242,5 @@ def test_defenders_are_told_how_the_ego_fuses(bank: SceneBank) -> None:
     prototype = Listener()
     for own, fusion, expected in ((bank, "max", "mean"), (Mute(), "max", "max")):
         world = make(own, 2, defender=prototype, fusion=fusion)
-        assert [defender.told for defender in world.defenders] == [(expected,)] * 2  # type: ignore[attr-defined]
-    assert prototype.told == ()
+        assert [defender.configured for defender in world.defenders] == [(expected,)] * 2  # type: ignore[attr-defined]
+    assert prototype.configured == ()

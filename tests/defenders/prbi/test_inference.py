@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 
 from defenders.prbi.inference import (
     benign_ratio,
-    check_knobs,
-    estimate_liars,
+    check_options,
+    estimate_attackers,
     posterior,
-    round_liars,
+    round_attackers,
     settled,
     upper_quantile,
 )
@@ -37,7 +37,7 @@ def counts(*values: int) -> np.ndarray:
 def test_how_many(normal: tuple[int, ...], total: int, eta: float, m: float) -> None:
     beta, n = counts(*normal), np.full(5, total)
     assert benign_ratio(beta, n) == pytest.approx(eta)
-    assert estimate_liars(beta, n) == pytest.approx(m)
+    assert estimate_attackers(beta, n) == pytest.approx(m)
 
 
 @st.composite
@@ -55,8 +55,8 @@ def spread(n: int, normal: int) -> np.ndarray:
 def test_theorem_1_part_1(history: tuple[int, int, int]) -> None:
     """Eq. (15): when no group passes, m grows (to the cap)."""
     n, total, normal = history
-    m = estimate_liars(spread(n, normal), np.full(n, total))
-    later = estimate_liars(spread(n, normal), np.full(n, total + 1))
+    m = estimate_attackers(spread(n, normal), np.full(n, total))
+    later = estimate_attackers(spread(n, normal), np.full(n, total + 1))
     assert m < later or later == n - 1
 
 
@@ -64,8 +64,8 @@ def test_theorem_1_part_1(history: tuple[int, int, int]) -> None:
 def test_theorem_1_part_2(history: tuple[int, int, int]) -> None:
     """Eqs. (16)-(22): when the n - ⌊m⌋ least suspicious pass, m shrinks; with two vehicles it stays at 1."""
     n, total, normal = history
-    m = estimate_liars(spread(n, normal), np.full(n, total))
-    later = estimate_liars(spread(n, normal + n - math.floor(m)), np.full(n, total + 1))
+    m = estimate_attackers(spread(n, normal), np.full(n, total))
+    later = estimate_attackers(spread(n, normal + n - math.floor(m)), np.full(n, total + 1))
     assert later < m or (n == 2 and later == m == 1)
 
 
@@ -109,7 +109,7 @@ def test_never_normal_means_probability_zero_and_stays_so(n: int, rounds: int, r
     ("m", "floor", "nearest", "ceiling"), [(0.32, 0, 0, 1), (2.5, 2, 3, 3), (3.0, 3, 3, 3), (1.74, 1, 2, 2)]
 )
 def test_rounding(m: float, floor: int, nearest: int, ceiling: int) -> None:
-    assert [round_liars(m, how) for how in ("floor", "nearest", "ceiling")] == [floor, nearest, ceiling]
+    assert [round_attackers(m, how) for how in ("floor", "nearest", "ceiling")] == [floor, nearest, ceiling]
 
 
 @pytest.mark.parametrize(
@@ -136,8 +136,8 @@ def test_t_test(window: list[float], m: float, alpha: float, verdict: bool) -> N
 
 
 @pytest.mark.parametrize(
-    "knob", [{"window": 1}, {"alpha": 0.0}, {"alpha": 1.0}, {"gamma": -0.1}, {"lam": 0.0}, {"lam": float("nan")}]
+    "option", [{"window": 1}, {"alpha": 0.0}, {"alpha": 1.0}, {"gamma": -0.1}, {"lam": 0.0}, {"lam": float("nan")}]
 )
-def test_knobs_out_of_range_are_refused(knob: dict[str, float]) -> None:
-    with pytest.raises(ValueError, match=next(iter(knob))):
-        check_knobs(**{"window": 10, "alpha": 0.01, "gamma": 0.35, "lam": 0.65, **knob})  # type: ignore[arg-type]
+def test_options_out_of_range_are_refused(option: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match=next(iter(option))):
+        check_options(**{"window": 10, "alpha": 0.01, "gamma": 0.35, "lam": 0.65, **option})  # type: ignore[arg-type]

@@ -23,7 +23,7 @@ class Fusion(nn.Module):
     """f_F. Row b of the result fuses `groups[b]` in world `world[b]`; vehicle 0 is the ego.
 
     In every cell only those members count whose map covers it; a cell that no member covers is 0. Each row is computed
-    by itself, so that a view does not depend, to the last bit, on the views asked beside it.
+    by itself, so that a view does not depend, to the last bit, on the other views of its batch.
     """
 
     def forward(

@@ -1,6 +1,6 @@
 """DiscoNet: a softmax over the members in every cell (Li et al., NeurIPS 2021, Sec. 3.2: matrix-valued edge weights).
 
-The weight of member j is learned from its map beside the centre's; the centre weighs itself too, as in coperception.
+The weight of member j is learned from its map and the centre's; the centre weighs itself too, as in coperception.
 Its four layers 2C → 128 → 32 → 8 → 1 are three here, 2C → 32 → 8 → 1, and without normalisation. The centre of a group
 without the ego is the mean of its members' maps, as in `v2vnet`; it is no member then and gets no weight. In a group of
 one that member's weight is 1: the group is its member's own map.

@@ -50,12 +50,12 @@ class V2VNet(Fusion):
             return mean
         codes = torch.stack([one.code for one in members if one.code is not None])
         covers = torch.stack([one.covers for one in members])[:, None]
-        state, told = codes.split(self.width, dim=1)
+        state, messages = codes.split(self.width, dim=1)
         first = state[0] if ego else _mean(state, covers)
         others = slice(1, None) if ego else slice(None)
         h = functional.relu(first)
         for _ in range(ROUNDS):
-            h = self.gru(h, _mean(functional.relu(told[others] + self.listen(h)), covers[others]))
+            h = self.gru(h, _mean(functional.relu(messages[others] + self.listen(h)), covers[others]))
         return mean + heard * self.out(h)
 
 

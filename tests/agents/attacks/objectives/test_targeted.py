@@ -11,8 +11,8 @@ import torch
 
 import agents
 from agents.attacks.objectives.targeted import APART, Plant, Remove, detection, plant, remove, spot
-from agents.attacks.objectives.untargeted import Objective
-from agents.attacks.targets import Goal, everyone, survey
+from agents.attacks.objectives.untargeted import UntargetedObjective
+from agents.attacks.targets import Objective, collect_targets, everyone
 from cp_env.detector import Dense
 from cp_env.perturbation.objective import MARGIN, REACH
 from cp_env.scenes import open_source
@@ -40,32 +40,34 @@ def _at(row: int, column: int) -> tuple[float, float]:
     return CELL * (column + 0.5) - 32, CELL * (row + 0.5) - 32
 
 
-def _value(situation: Situation, goal: Goal, dense: Dense) -> float:
-    return goal(survey(situation, everyone, situation.active, joint=True))(dense).item()
+def _value(situation: Situation, objective: Objective, dense: Dense) -> float:
+    return objective(collect_targets(situation, everyone, situation.active, joint=True))(dense).item()
 
 
 def test_removing_counts_the_logits_around_the_car_alone() -> None:
     """Five cells lie within 2.5 m of a cell's centre: one of them says 4, four say -6, log-sum-exp 4.0002."""
     situation = _street((10, 10), (20, 20))
-    goal = Remove(spot(_at(10, 10)))
-    assert _value(situation, goal, situation.clean) == pytest.approx(-np.log(np.exp(4) + 4 * np.exp(-6)), rel=1e-5)
+    objective = Remove(spot(_at(10, 10)))
+    assert _value(situation, objective, situation.clean) == pytest.approx(-np.log(np.exp(4) + 4 * np.exp(-6)), rel=1e-5)
     hidden = situation.clean.logits.clone()
     hidden[0, 20, 20] = -9.0
-    assert _value(situation, goal, Dense(hidden, situation.clean.boxes)) == _value(situation, goal, situation.clean)
+    assert _value(situation, objective, Dense(hidden, situation.clean.boxes)) == _value(
+        situation, objective, situation.clean
+    )
     hidden[0, 10, 10] = -6.0
-    assert _value(situation, goal, Dense(hidden, situation.clean.boxes)) == pytest.approx(MARGIN)
+    assert _value(situation, objective, Dense(hidden, situation.clean.boxes)) == pytest.approx(MARGIN)
     hidden[0, 11, 10] = 1.0  # the next cell reports it instead
-    assert _value(situation, goal, Dense(hidden, situation.clean.boxes)) == pytest.approx(-1.0, abs=0.01)
+    assert _value(situation, objective, Dense(hidden, situation.clean.boxes)) == pytest.approx(-1.0, abs=0.01)
 
 
 def test_planting_counts_one_cell_and_its_box() -> None:
     situation = _street((10, 10))
     x, y = _at(5, 25)
-    goal, dense = plant(x + 0.5, y, length=4.0, width=2.0), _street((10, 10), (5, 25), logit=2.0).clean
-    assert _value(situation, goal, situation.clean) == pytest.approx(-6.0 - 0.5 / 6, rel=1e-5)
-    assert _value(situation, goal, dense) == pytest.approx(2.0 - 0.5 / 6, rel=1e-5)
+    objective, dense = plant(x + 0.5, y, length=4.0, width=2.0), _street((10, 10), (5, 25), logit=2.0).clean
+    assert _value(situation, objective, situation.clean) == pytest.approx(-6.0 - 0.5 / 6, rel=1e-5)
+    assert _value(situation, objective, dense) == pytest.approx(2.0 - 0.5 / 6, rel=1e-5)
     far = Dense(torch.full_like(dense.logits, 9.0), dense.boxes + 50.0)
-    assert _value(situation, goal, far) == pytest.approx(MARGIN - REACH)
+    assert _value(situation, objective, far) == pytest.approx(MARGIN - REACH)
 
 
 @pytest.mark.parametrize("kind", [Remove, Plant])
@@ -96,8 +98,8 @@ def test_the_target_is_a_place_or_a_detection_of_each_world() -> None:
 
 def test_a_world_without_the_target_has_nothing_to_gain() -> None:
     situation = _street((10, 10), worlds=2)
-    views = survey(situation, everyone, situation.active, joint=True)
-    assert Remove(detection([0, 7]))(views)(situation.clean)[1] == 0
+    targets = collect_targets(situation, everyone, situation.active, joint=True)
+    assert Remove(detection([0, 7]))(targets)(situation.clean)[1] == 0
     act = agents.make("bim", objective=Remove(detection([0, 7])))
     act.reset(2, np.random.default_rng(0))
     assert act.act(situation).flatten(1).any(1).tolist() == [True, False]
@@ -106,27 +108,27 @@ def test_a_world_without_the_target_has_nothing_to_gain() -> None:
 def test_places_outside_and_numbers_too_many_are_refused() -> None:
     situation = _street((10, 10))
     with pytest.raises(ValueError, match=r"within 32.0 m"):
-        plant(40.0, 0.0)(survey(situation, everyone, situation.active, joint=True))
+        plant(40.0, 0.0)(collect_targets(situation, everyone, situation.active, joint=True))
     with pytest.raises(TypeError, match="number or x and y"):
         remove(1, 2, 3)
 
 
 @pytest.fixture(scope="module")
 def crossing() -> Situation:
-    """One frame of a test scene in twelve worlds, two liars of five drawn for each."""
+    """One frame of a test scene in twelve worlds, two attackers of five drawn for each."""
     world = World(12, defender="none", scenes=Clip(open_source("town/test"), frames=2))
     world.reset(list(range(12)), options={"scene": world.bank.source.names()[0], "start": 0})
     world.step(torch.zeros(12, 2, *world.situation().received.shape[2:]))
     return world.situation()
 
 
-def _seen(situation: Situation, budget: float, goal: Goal) -> list[Detections]:
-    """What everyone fused shows once the liars have pursued the goal, at the operating threshold."""
-    attacker = agents.make("pgd", objective=goal, step_size=budget / 3, steps=10)
-    attacker.reset(12, np.random.default_rng(0))
-    delta = attacker.act(replace(situation, budget=budget))
+def _seen(situation: Situation, budget: float, objective: Objective) -> list[Detections]:
+    """The output of everyone fused under that attack, at the operating threshold."""
+    attack = agents.make("pgd", objective=objective, step_size=budget / 3, steps=10)
+    attack.reset(12, np.random.default_rng(0))
+    delta = attack.act(replace(situation, budget=budget))
     with torch.no_grad():
-        dense = survey(situation, everyone, situation.active, joint=True).perceive()(delta)
+        dense = collect_targets(situation, everyone, situation.active, joint=True).perceive()(delta)
     return [view.above(situation.detector.threshold) for view in situation.detector.detect(dense)]
 
 
@@ -138,13 +140,13 @@ def _shown(views: list[Detections], places: np.ndarray) -> np.ndarray:
 
 @pytest.mark.slow
 def test_removing_one_car_removes_it_more_often_than_an_attack_on_all(crossing: Situation) -> None:
-    """A car for each world, at budgets at which neither takes all; and the targeted liars leave the others alone."""
+    """A car for each world, at budgets at which neither takes all; and the targeted ones leave the others alone."""
     target = detection([2 * e for e in range(12)])
     places, clean = target(crossing).numpy(), crossing.detector.detect(crossing.clean)
     cars = np.array([len(view.above(crossing.detector.threshold).scores) for view in clean])
     gone = {"one": 0, "all": 0}
     for budget in (0.1, 0.2):
-        one, everything = _seen(crossing, budget, Remove(target)), _seen(crossing, budget, Objective())
+        one, everything = _seen(crossing, budget, Remove(target)), _seen(crossing, budget, UntargetedObjective())
         gone["one"] += int((~_shown(one, places)).sum())
         gone["all"] += int((~_shown(everything, places)).sum())
         changed = [np.abs(np.array([len(view.scores) for view in views]) - cars).mean() for views in (one, everything)]

@@ -97,18 +97,18 @@ def test_a_checkpoint_is_never_run(tmp_path: Path) -> None:
 
 
 def test_names_and_numbers(tmp_path: Path) -> None:
-    for knobs, message in (
+    for options, message in (
         ({"fusion": "cat"}, r"unknown fusion 'cat': choose one of mean, max, sum, v2vnet, disconet"),
         ({"resampling": "twice"}, r"unknown resampling 'twice': choose one of affine, rotate-translate"),
         ({"rounds": 0}, "rounds must be at least 1, not 0"),
     ):
         with pytest.raises(ValueError, match=message):
-            load_checkpoint(tmp_path / "a.pth", **knobs)  # type: ignore[arg-type]
+            load_checkpoint(tmp_path / "a.pth", **options)  # type: ignore[arg-type]
 
 
 def test_a_detector_by_its_name() -> None:
-    with pytest.raises(ValueError, match=r"unknown detector 'yolo': choose one of cp_env, coperception"):
+    with pytest.raises(ValueError, match=r"unknown detector 'yolo'; known: cp_env, coperception; or module:Class"):
         open_detector("yolo")
-    for knobs in ({"detector": "coperception"}, {"detector": "cp_env", "checkpoint": "a.pth"}):
+    for options in ({"detector": "coperception"}, {"detector": "cp_env", "checkpoint": "a.pth"}):
         with pytest.raises(ValueError, match=r'detector="coperception" and its checkpoint="file" come together'):
-            open_detector(**knobs)
+            open_detector(**options)

@@ -89,5 +89,5 @@ def test_packing_keeps_every_bit_in_an_eighth_of_the_room() -> None:
 
 def test_bad_grids_are_refused() -> None:
     for wrong in ({"cell": 0.3}, {"cell": 0.0}, {"extent": -1.0}, {"edges": (1.0, 0.5)}, {"edges": (1.0, 1.0)}):
-        with pytest.raises(ValueError):
+        with pytest.raises(ValueError, match=next(iter(wrong))):
             BevSpec(**wrong)  # type: ignore[arg-type]

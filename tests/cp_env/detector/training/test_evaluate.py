@@ -12,7 +12,7 @@ import pytest
 from cp_env.detector import Detector
 from cp_env.detector.model.weights import about, read_detector, save_detector
 from cp_env.detector.training import evaluate
-from cp_env.detector.training.evaluate import GRID, Args, Report, Seen, calibrate, jaccard, report, watch
+from cp_env.detector.training.evaluate import GRID, Args, Report, Seen, calibrate, jaccard, perceive_scenes, report
 from cp_env.types import Detections
 from tests.helpers.toy_scenes import ToySource
 
@@ -46,13 +46,13 @@ def test_calibration_prefers_boxes_that_are_right_and_stay() -> None:
     assert threshold in GRID and 0.31 < threshold <= 0.66
 
 
-def test_every_frame_is_watched() -> None:
-    frames = list(watch(Detector().freeze(), ToySource(n_frames=3), Args(n_vehicles=3, frames=7)))
+def test_every_frame_is_perceived() -> None:
+    frames = list(perceive_scenes(Detector().freeze(), ToySource(n_frames=3), Args(n_vehicles=3, frames=7)))
     assert [frame.scene for frame in frames] == ["toy-0"] * 3 + ["toy-1"] * 3
     assert all(len(frame.detections) == 3 and 5 < len(frame.truth) < 14 for frame in frames)
     assert all(0 < frame.n_visible <= len(frame.truth) for frame in frames)
     with pytest.raises(ValueError, match="toy-0 holds 5 connected vehicles, not 6"):
-        next(watch(Detector(), ToySource(n_frames=1), Args(n_vehicles=6)))
+        next(perceive_scenes(Detector(), ToySource(n_frames=1), Args(n_vehicles=6)))
 
 
 def test_command_calibrates_and_writes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -57,6 +57,6 @@ def test_perfect_is_nearly_free_and_errors_cost() -> None:
 
 def test_an_empty_street() -> None:
     nothing = targets(torch.zeros(0, 5), torch.zeros(2, 0, dtype=torch.bool), SIZE, EXTENT)
-    quiet = Dense(torch.full((2, SIZE, SIZE), -12.0), torch.zeros(2, 6, SIZE, SIZE))
-    assert detection_loss(quiet, nothing) < 1e-4
-    assert detection_loss(Dense(torch.zeros(2, SIZE, SIZE), quiet.boxes), nothing) > 1
+    empty = Dense(torch.full((2, SIZE, SIZE), -12.0), torch.zeros(2, 6, SIZE, SIZE))
+    assert detection_loss(empty, nothing) < 1e-4
+    assert detection_loss(Dense(torch.zeros(2, SIZE, SIZE), empty.boxes), nothing) > 1

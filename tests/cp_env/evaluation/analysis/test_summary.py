@@ -1,16 +1,13 @@
-"""The figures are those worked out by hand, and survive being written down."""
+"""Rows of the summary against values worked out by hand; records survive the disk."""
 
 from __future__ import annotations
 
-import json
-
 import pytest
 
-from cp_env.evaluation import Record
 from tests.helpers.toy_evaluation import record, rows_of
 
 
-def test_figures_by_hand() -> None:
+def test_values_by_hand() -> None:
     episodes = [
         record("a", "11", 2),
         record("a", "0", 2, suspects=(1, 2, 3), converged=2, verifications=(9, 4, 2), damage=(1.0, 1.0, 0.0)),
@@ -22,13 +19,13 @@ def test_figures_by_hand() -> None:
     assert row.ap70 == row.ap50
     assert row.n_scenes == 2
     assert row.n_episodes == 3
-    assert row.damage.mean == pytest.approx(((0.75 + 2.0) / 2 + 0.75) / 2)  # scenes count alike
+    assert row.damage.mean == pytest.approx(((0.75 + 2.0) / 2 + 0.75) / 2 / 3)  # scenes count alike
     assert row.verifications.mean == pytest.approx(((1 + 3) / 2 + 0) / 2)  # the grace frame's 9 are left out
     assert row.verifications_max == 9
     assert row.verifications_alarmed is not None
     assert row.verifications_alarmed.mean == pytest.approx((2 + 3) / 2)
-    assert row.alarms.mean == pytest.approx(((0.5 + 1) / 2 + 0) / 2)
-    assert row.converged.mean == pytest.approx((0.5 + 1) / 2)
+    assert row.alarm_rate.mean == pytest.approx(((0.5 + 1) / 2 + 0) / 2)
+    assert row.convergence_rate.mean == pytest.approx((0.5 + 1) / 2)
     assert row.frames_to_convergence is not None
     assert row.frames_to_convergence.mean == pytest.approx((2 + 1) / 2)
     assert row.id_rate is not None
@@ -38,9 +35,9 @@ def test_figures_by_hand() -> None:
     assert row.recovery50 is None
 
 
-def test_recovery_is_the_share_of_the_lost_ap_that_comes_back() -> None:
+def test_ap_recovery_is_the_share_of_the_lost_ap_that_is_restored() -> None:
     rows = rows_of(
-        none__none=[record("a", "1111", 4, liars=()), record("b", "1111", 4, liars=())],
+        none__none=[record("a", "1111", 4, attackers=()), record("b", "1111", 4, attackers=())],
         none__pgd=[record("a", "10", 4), record("b", "10", 4)],
         prbi__pgd=[record("a", "111", 4), record("b", "111", 4)],
     )
@@ -60,16 +57,3 @@ def test_intervals_grow_with_the_spread_between_scenes_and_hold_the_mean() -> No
     unlike = rows_of(prbi__pgd=[record(f"{i}", "11" if i % 2 else "00", 2) for i in range(6)])["prbi__pgd"]
     assert alike.ap50.high - alike.ap50.low < 1e-9 < unlike.ap50.high - unlike.ap50.low
     assert unlike.ap50.low <= unlike.ap50.mean <= unlike.ap50.high
-
-
-@pytest.mark.parametrize("hits", ["", "0", "1", "1101", "0101010111"])
-def test_records_survive_being_written_down(hits: str) -> None:
-    original = record("a", hits, 8, error="why", converged=2)
-    copy = Record.from_json(json.loads(json.dumps(original.to_json())))
-    assert copy.to_json() == original.to_json()
-    for iou in (0.5, 0.7):
-        assert copy.meter.value(iou) == pytest.approx(original.meter.value(iou), abs=1e-12)
-        assert (copy.meter.matched(iou)[1] == original.meter.matched(iou)[1]).all()
-    both = copy.meter.merge(original.meter)
-    assert both.n_truth == 16
-    assert both.value(0.5) == pytest.approx(original.meter.value(0.5))

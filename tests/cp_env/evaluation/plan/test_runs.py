@@ -8,22 +8,22 @@ from typing import Any
 import pytest
 
 import agents
-from cp_env.evaluation import Crew, Protocol, parse, plan
-from tests.helpers.toy_evaluation import PROTOCOL, SOURCE
+from cp_env.evaluation import Conditions, Workers, plan_runs
+from tests.helpers.toy_evaluation import CONDITIONS, SOURCE
 
 
-def test_the_plan_holds_every_combination_once_and_nobody_lies_only_without_liars() -> None:
-    cells = plan(
-        PROTOCOL, defenders=("none", "prbi"), attacks=("none", "pgd:steps=1"), ks=(1, 2), seeds=(0, 7), batch=1
+def test_the_plan_holds_every_combination_once_and_no_attack_without_attackers() -> None:
+    runs = plan_runs(
+        CONDITIONS, defenders=("none", "prbi"), attacks=("none", "pgd:steps=1"), ks=(1, 2), seeds=(0, 7), batch=1
     )
-    assert len(cells) == len(set(cells)) == 2 * (1 + 2) * 2 * 2  # defenders × (none, k=1, k=2) × seeds × scenes
-    assert {(cell.attack, cell.k) for cell in cells} == {("none", 0), ("pgd:steps=1", 1), ("pgd:steps=1", 2)}
-    slugs = {cell.slug(protocol, name) for cell in cells for protocol in variants() for name in ("", "other")}
-    assert len(slugs) == len(cells) * len(variants()) * 2
+    assert len(runs) == len(set(runs)) == 2 * (1 + 2) * 2 * 2  # defenders × (none, k=1, k=2) × seeds × scenes
+    assert {(run.attack, run.k) for run in runs} == {("none", 0), ("pgd:steps=1", 1), ("pgd:steps=1", 2)}
+    slugs = {run.slug(conditions, name) for run in runs for conditions in variants() for name in ("", "other")}
+    assert len(slugs) == len(runs) * len(variants()) * 2
 
 
-def variants() -> list[Protocol]:
-    """Protocols that differ in one condition each: their results must never be mixed."""
+def variants() -> list[Conditions]:
+    """Conditions that differ in one value each: their results must never be mixed."""
     changes: list[dict[str, Any]] = [
         {},
         {"frames": 5},
@@ -32,28 +32,12 @@ def variants() -> list[Protocol]:
         {"rsu": True},
         {"n_vehicles": 4},
     ]
-    return [replace(PROTOCOL, **change) for change in changes]
+    return [replace(CONDITIONS, **change) for change in changes]
 
 
 def test_a_chunk_takes_so_many_scenes() -> None:
-    cells = plan(PROTOCOL, defenders=("none",), attacks=("none",), ks=(1,), seeds=(0,), batch=4)
-    assert [cell.names for cell in cells] == [("toy-0", "toy-1")]
-
-
-@pytest.mark.parametrize(
-    ("spec", "name", "knobs"),
-    [
-        ("prbi", "prbi", {}),
-        ("prbi:threshold=calibrated", "prbi", {"threshold": "calibrated"}),
-        (
-            "pgd:steps=30,step_size=0.05,random_start=False",
-            "pgd",
-            {"steps": 30, "step_size": 0.05, "random_start": False},
-        ),
-    ],
-)
-def test_specs_name_knobs(spec: str, name: str, knobs: dict[str, Any]) -> None:
-    assert parse(spec) == (name, knobs)
+    runs = plan_runs(CONDITIONS, defenders=("none",), attacks=("none",), ks=(1,), seeds=(0,), batch=4)
+    assert [run.names for run in runs] == [("toy-0", "toy-1")]
 
 
 @pytest.mark.parametrize(
@@ -70,11 +54,11 @@ def test_specs_name_knobs(spec: str, name: str, knobs: dict[str, Any]) -> None:
 def test_a_plan_that_cannot_be_played_is_refused(change: dict[str, Any], message: str) -> None:
     good: dict[str, Any] = {"defenders": ("none",), "attacks": ("pgd",), "ks": (1,), "seeds": (0,)}
     with pytest.raises(ValueError, match=message):
-        plan(PROTOCOL, **{**good, **change})
+        plan_runs(CONDITIONS, **{**good, **change})
 
 
-def test_unknown_scenes_and_an_empty_crew_are_refused() -> None:
+def test_unknown_scenes_and_no_workers_are_refused() -> None:
     with pytest.raises(ValueError, match=r"unknown scenes \['nowhere'\]; known: toy-0, toy-1"):
-        Protocol(SOURCE, ("nowhere",))
-    with pytest.raises(ValueError, match="workers"):
-        Crew(make_attacker=agents.make, workers=0)
+        Conditions(SOURCE, ("nowhere",))
+    with pytest.raises(ValueError, match="processes"):
+        Workers(make_attack=agents.make, processes=0)

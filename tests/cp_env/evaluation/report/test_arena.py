@@ -16,14 +16,14 @@ import pytest
 from PIL import Image
 
 from cp_env.evaluation import Store, about
-from cp_env.evaluation.analysis.results import find, write_json
+from cp_env.evaluation.analysis.results import collect_results, write_json
 from cp_env.evaluation.analysis.worst_episodes import Worst
 from cp_env.evaluation.plan.grid import Axes
-from cp_env.evaluation.report.arena import pictures, write_html, write_markdown
+from cp_env.evaluation.report.arena import draw_plots, write_html, write_markdown
 from cp_env.evaluation.report.leaderboard import write_leaderboard
 from cp_env.rendering.frame import write_gif
 from tests.helpers.browser import CHROMIUM, DRIVER, Browser, browser
-from tests.helpers.toy_evaluation import PROTOCOL, record
+from tests.helpers.toy_evaluation import CONDITIONS, record
 
 HOSTILE = '<script>hacked = 1</script><img src=x onerror="hacked = 1">"&\'|$x_1$'
 DEFENDERS = ("none", "wall", HOSTILE, "seer")
@@ -32,26 +32,30 @@ ATTACKS = ("loud", "sly", f"q:name={HOSTILE}")
 
 @pytest.fixture(scope="module")
 def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A report of figures that nobody played, with names that nobody should trust."""
+    """A report of invented results, with names that cannot be trusted."""
     folder = tmp_path_factory.mktemp("page")
     axes = Axes(defenders=DEFENDERS, attacks=ATTACKS, ks=(2, 1, 3), budgets=(0.3, 0.1))
-    boards = axes.boards(PROTOCOL, {"mean": Store(folder)})
-    for board in boards:
-        for number, cell in enumerate(board.cells):
-            harm = 0.0 if cell.attack == "none" else (number * 37 % 100) / 100
-            frames = {"damage": (0.0, harm, harm), "error": "why" if number == 3 else None}
-            made = [record(s, "110" if harm < 0.5 else "01", 3 + len(s) % 2, **frames) for s in cell.names]
-            board.store.write(cell, board.protocol, made)
-    found = find(boards, folder, told=["seer"], resamples=20, failed=f"{HOSTILE} against nobody: it broke")
-    gif = write_gif([np.full((80, 120, 3), shade, np.uint8) for shade in (20, 200)], folder / "film.gif")
-    worst = {name: Worst(board.cells[0], 0.5, gif) for name, board in zip(DEFENDERS, boards, strict=False)}
-    found = replace(found, worst=worst)
-    conditions = about(PROTOCOL, f"cp-arena --defenders '{HOSTILE}'", seeds=[0], workers=2, threads=1)
-    write_markdown(found, folder / "arena.md", conditions)
-    write_json(found, folder, conditions)
-    drawn = pictures(found)
-    write_leaderboard(found, drawn, folder / "leaders.md", conditions)
-    return write_html(found, drawn, folder, conditions)
+    grids = axes.grids(CONDITIONS, {"mean": Store(folder)})
+    for grid in grids:
+        for number, run in enumerate(grid.runs):
+            harm = 0.0 if run.attack == "none" else (number * 37 % 100) / 100
+            frames = {
+                "damage": (0.0, harm, harm),
+                "error": "why" if number == 3 else None,
+                "informed": run.defender == "seer",
+            }
+            made = [record(s, "110" if harm < 0.5 else "01", 3 + len(s) % 2, **frames) for s in run.names]
+            grid.store.write(run, grid.conditions, made)
+    results = collect_results(grids, folder, resamples=20, failed=f"{HOSTILE} against no attack: it broke")
+    gif = write_gif([np.full((80, 120, 3), shade, np.uint8) for shade in (20, 200)], folder / "video.gif")
+    worst = {name: Worst(grid.runs[0], 0.5, gif) for name, grid in zip(DEFENDERS, grids, strict=False)}
+    results = replace(results, worst=worst)
+    provenance = about(CONDITIONS, f"cp-arena --defenders '{HOSTILE}'", seeds=[0], workers=2, threads=1)
+    write_markdown(results, folder / "arena.md", provenance)
+    write_json(results, folder, provenance)
+    drawn = draw_plots(results)
+    write_leaderboard(results, drawn, folder / "leaders.md", provenance)
+    return write_html(results, drawn, folder, provenance)
 
 
 class Reader(HTMLParser):
@@ -83,7 +87,7 @@ def test_everything_is_inside_and_names_are_text(page: Path) -> None:
     assert all(version in text for version in ("torch", "numpy", "threads", "seeds", "workers"))
 
 
-def test_the_same_findings_give_the_same_bytes(page: Path) -> None:
+def test_the_same_results_give_the_same_bytes(page: Path) -> None:
     svg = (page.parent / "leaders" / "trade-off.svg").read_text()
     assert "<dc:date>" not in svg and svg.count("<g id=") > 10
 
@@ -129,8 +133,8 @@ return [...table.tBodies[0].rows].map(row => row.cells[arguments[1]].textContent
 
 
 @BROWSER
-def test_a_click_on_a_heading_sorts_by_it_and_another_turns_it_round(window: Browser) -> None:
-    table, heading = "#all-figures table", "#all-figures th:nth-child({}) button"
+def test_a_click_on_a_heading_sorts_by_it_and_another_reverses_it(window: Browser) -> None:
+    table, heading = "#all-results table", "#all-results th:nth-child({}) button"
 
     def column(number: int) -> list[str]:
         shown: list[str] = window.run(COLUMN, table, number - 1)
@@ -143,7 +147,7 @@ def test_a_click_on_a_heading_sorts_by_it_and_another_turns_it_round(window: Bro
     assert [float(text.split()[0]) for text in column(7)] == sorted(means)
     window.click(heading.format(7))
     assert [float(text.split()[0]) for text in column(7)] == sorted(means, reverse=True)
-    for turn in (1, 2):  # what came back: empty where nobody lies, and that stays last
+    for turn in (1, 2):  # AP recovery: empty without an attack, and that stays last
         window.click(heading.format(9))
         shown = column(9)
         values = [float(text.split()[0]) for text in shown if text != "–"]
@@ -151,7 +155,7 @@ def test_a_click_on_a_heading_sorts_by_it_and_another_turns_it_round(window: Bro
         assert values == sorted(values, reverse=turn == 2)
     window.click(heading.format(1))
     assert column(1) == sorted(column(1), key=(HOSTILE, "none", "seer", "wall").index)
-    sorted_by = window.run("return [...document.querySelectorAll('#all-figures [aria-sort]')].map(h => h.cellIndex)")
+    sorted_by = window.run("return [...document.querySelectorAll('#all-results [aria-sort]')].map(h => h.cellIndex)")
     assert sorted_by == [0]
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 import sys
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,14 +12,14 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from cp_env.evaluation import Crew, screen
+from cp_env.evaluation import Workers, screen
 from tests.helpers.toy_evaluation import SOURCE, open_toy, record, rows_of
 
 
 def test_the_report_says_how_to_make_it_again(whole: Path) -> None:
     data = json.loads((whole / "results.json").read_text())
     assert data["about"]["command"] == "python x.py"
-    assert data["about"]["protocol"]["names"] == ["toy-0", "toy-1"]
+    assert data["about"]["conditions"]["names"] == ["toy-0", "toy-1"]
     assert data["about"]["versions"]["torch"]
     assert len(data["rows"]) == 4
     text = (whole / "results.md").read_text()
@@ -32,7 +31,7 @@ def test_the_report_says_how_to_make_it_again(whole: Path) -> None:
 
 def test_the_table_fits_a_terminal_of_eighty_columns() -> None:
     rows = rows_of(
-        none__none=[record("a", "1111", 4, liars=())], prbi__pgd=[record("a", "10", 4), record("b", "10", 4)]
+        none__none=[record("a", "1111", 4, attackers=())], prbi__pgd=[record("a", "10", 4), record("b", "10", 4)]
     )
     rows["long"] = replace(rows["prbi__pgd"], defender="prbi:threshold=calibrated", n_errors=2)
     console = Console(width=80, file=io.StringIO())
@@ -40,12 +39,12 @@ def test_the_table_fits_a_terminal_of_eighty_columns() -> None:
     shown = console.file.getvalue()  # type: ignore[attr-defined]
     assert max(map(len, shown.splitlines())) <= 80
     assert "…" not in shown
-    assert "nobody lies" in shown
-    assert "pgd, 2 liars" in shown
+    assert "no attack" in shown
+    assert "pgd, 2 attackers" in shown
 
 
 @pytest.fixture
-def program(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+def program(monkeypatch: pytest.MonkeyPatch) -> Any:
     """`examples/benchmark.py`, on the toy scenes."""
     monkeypatch.setattr(sys, "argv", ["benchmark.py"])
     from examples import benchmark
@@ -53,22 +52,20 @@ def program(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     monkeypatch.setattr("agents.arena.conditions.open_source", lambda _: SOURCE)
     monkeypatch.setattr("cp_env.evaluation.plan.runs.open_source", lambda _: SOURCE)
     monkeypatch.setattr(benchmark.evaluation, "open_bank", open_toy)
-    monkeypatch.setattr(benchmark.evaluation, "Crew", lambda **knobs: Crew(**knobs, open_bank=open_toy))
-    yield benchmark
+    monkeypatch.setattr(benchmark.evaluation, "Workers", lambda **options: Workers(**options, open_bank=open_toy))
+    return benchmark
 
 
-def test_the_program_writes_tables_and_a_film_and_goes_on(
+def test_the_program_writes_tables_and_a_video_and_goes_on(
     program: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    args = program.Args(frames=2, defenders=("none",), attackers=("none", "pgd:steps=1"), ks=(2,), out=tmp_path / "out")
+    args = program.Args(frames=2, defenders=("none",), attacks=("none", "pgd:steps=1"), ks=(2,), out=tmp_path / "out")
     program.main(args)
-    assert {"results.json", "results.md", "episode.gif", "cells"} == {
-        file.name for file in (tmp_path / "out").iterdir()
-    }
+    assert {"results.json", "results.md", "episode.gif", "runs"} == {file.name for file in (tmp_path / "out").iterdir()}
     assert "AP@.5" in capsys.readouterr().out
-    stamps = {file: file.stat().st_mtime_ns for file in (tmp_path / "out" / "cells").iterdir()}
+    stamps = {file: file.stat().st_mtime_ns for file in (tmp_path / "out" / "runs").iterdir()}
     program.main(replace(args, gif=False))
-    assert stamps == {file: file.stat().st_mtime_ns for file in (tmp_path / "out" / "cells").iterdir()}
+    assert stamps == {file: file.stat().st_mtime_ns for file in (tmp_path / "out" / "runs").iterdir()}
 
 
 def test_the_program_refuses_more_scenes_than_there_are(program: Any, tmp_path: Path) -> None:

@@ -10,7 +10,6 @@ import pytest
 from PIL import Image
 
 from cp_env.cli import main
-from cp_env.lidar.returns import returns_of
 from cp_env.scenes.opv2v.writer import write
 from cp_env.scenes.preview import film
 from cp_env.types import Scene, Sweep
@@ -52,22 +51,6 @@ class Three:
         ]
 
 
-def test_who_is_seen_is_counted_by_hand() -> None:
-    figures = film.figures(Three(), "three", [0, 1])
-    assert figures.seen_by_ego.tolist() == [0, 0.5, 0]
-    assert figures.seen.tolist() == [0, 0.5, 1], "row 2 is there in one frame, and seen in it"
-    assert figures.present.tolist() == [3, 2] and figures.points.tolist() == [[3, 3], [1, 1]]
-    assert np.allclose(figures.nearest, [0, np.hypot(20, 10), np.hypot(20, 10)])
-    assert figures.reach[1, 0] == pytest.approx(np.hypot(5, 5))
-    with pytest.raises(ValueError, match="at least one frame"):
-        film.figures(Three(), "three", [])
-
-
-def test_hits_of_the_source_are_taken_before_boxes() -> None:
-    known = replace(sweep(0, 0, [[5, 5, 0.0]]), hits=np.array([0, 7, 0]))
-    assert returns_of(SCENE, 0, known).tolist() == [0, 7, 0]
-
-
 def at(image: np.ndarray, x: float, y: float, extent: float) -> tuple[int, int, int]:
     """The colour drawn x m east and y m north of the ego."""
     scale = film.SIDE / (2 * extent)
@@ -97,8 +80,8 @@ def test_the_command_films_a_folder_and_prints_its_figures(
     monkeypatch.setenv("COLUMNS", "200")
     source = ToySource(n_frames=3, n_connected=2)
     write(source, ["toy-0"], tmp_path / "data")
-    film = tmp_path / "film.gif"
-    main(["scenes", "preview", str(tmp_path / "data"), "--out", str(film), "--every", "1"])
+    gif_path = tmp_path / "film.gif"
+    main(["scenes", "preview", str(tmp_path / "data"), "--out", str(gif_path), "--every", "1"])
     told = " ".join(capsys.readouterr().out.split())
     for part in (
         "2 connected vehicles and a road-side unit 6.0 m up",
@@ -107,7 +90,7 @@ def test_the_command_films_a_folder_and_prints_its_figures(
         "0 ego",
     ):
         assert part in told
-    with Image.open(film) as gif:
+    with Image.open(gif_path) as gif:
         assert gif.format == "GIF" and gif.n_frames == 3 and gif.size == film.SIZE
     with pytest.raises(SystemExit, match="every must be at least 1"):
         main(["scenes", "preview", str(tmp_path / "data"), "--every", "0"])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gzip
 import pickle
 import subprocess
 import sys
@@ -13,13 +12,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-import shapely
 
 from cp_env.scenes import open_source
-from cp_env.scenes.errors import BrokenData
 from cp_env.scenes.sumo import config, network
 from cp_env.scenes.sumo.live import CROWD, DRIVEN, LiveSumo, _quarter
-from cp_env.scenes.sumo.roadside import footprints
 from cp_env.testing import check_scenes
 from cp_env.types import Scene
 
@@ -41,81 +37,6 @@ NET = """<net version="1.20">
     <junction id="east" type="dead_end" x="100" y="0" shape="100,0 100,-3.2"/>
 </net>
 """
-POLYGONS = """<additional>
-    <poly id="hall" type="building.commercial" shape="10,8 30,8 30,18 10,18 10,8">
-        <param key="height" value="12.5"/>
-    </poly>
-    <poly id="ell" type="building" shape="-40,8 -20,8 -20,14 -34,14 -34,28 -40,28">
-        <param key="building:levels" value="4"/>
-    </poly>
-    <poly id="park" type="leisure.park" shape="-90,30 -50,30 -50,60"/>
-    <poly id="shed" type="building" shape="50,8 50.5,8 50.5,8.5"/>
-</additional>
-"""
-
-
-def test_streets_are_those_for_cars(tmp_path: Path) -> None:
-    """The sidewalk, the walking area and the rails are left out; the lane beside the sidewalk is the rightmost."""
-    (tmp_path / "a.net.xml").write_text(NET)
-    town = network.read_network(tmp_path / "a.net.xml", 50.0)
-    assert [(lane.edge, lane.index, lane.internal) for lane in town.lanes] == [
-        (":j_0", 0, True),
-        ("in", 0, False),
-        ("out", 0, False),
-    ]
-    assert (town.sources, town.sinks) == (["in"], ["out"])
-    assert town.junctions.tolist() == [[0, 0, 1]]
-    assert config.lane_kilometres(town) == pytest.approx(0.192)
-    assert not town.carriageway.intersects(shapely.Point(50, 5))
-    (tmp_path / "b.net.xml.gz").write_bytes(gzip.compress(NET.encode()))
-    assert network.read_network(tmp_path / "b.net.xml.gz", 50.0).sources == ["in"]
-
-
-def test_buildings_by_hand(tmp_path: Path) -> None:
-    """The hall is one box; the L is its six walls, 12 m high; the park is no building, and the shed is too small."""
-    (tmp_path / "a.poly.xml").write_text(POLYGONS)
-    boxes = config.buildings(tmp_path / "a.poly.xml")
-    hall, walls = boxes[0], boxes[1:]
-    assert np.allclose(np.sort(hall[3:]), [10, 12.5, 20]) and hall[5] == 12.5 and np.allclose(hall[:2], [20, 13])
-    assert footprints(hall[None])[0].equals_exact(shapely.box(10, 8, 30, 18), 1e-9) or footprints(hall[None])[
-        0
-    ].symmetric_difference(shapely.box(10, 8, 30, 18)).area == pytest.approx(0, abs=1e-9)
-    assert len(walls) == 6 and (walls[:, 5] == 12).all() and (walls[:, 4] == config.WALL).all()
-    outline = shapely.Polygon([(-40, 8), (-20, 8), (-20, 14), (-34, 14), (-34, 28), (-40, 28)]).exterior
-    drawn = shapely.union_all(footprints(walls))
-    assert shapely.covers(drawn.buffer(1e-6), outline) and shapely.covers(outline.buffer(0.3), drawn)
-
-
-def test_a_configuration_names_its_files_and_missing_ones_are_told(tmp_path: Path) -> None:
-    (tmp_path / "a.net.xml").write_text(NET)
-    (tmp_path / "a.poly.xml").write_text(POLYGONS)
-    config = tmp_path / "a.sumocfg"
-    config.write_text(
-        '<configuration><input><net-file value="a.net.xml"/><route-files value="r.xml"/>'
-        '<additional-files value="stops.xml, a.poly.xml"/></input></configuration>'
-    )
-    with pytest.raises(BrokenData, match=r"r\.xml: is missing; a\.sumocfg names it"):
-        config.find(config)
-    for name in ("r.xml", "stops.xml"):
-        (tmp_path / name).write_text("<routes/>")
-    found = config.find(config)
-    assert found.net == tmp_path / "a.net.xml" and found.polygons == tmp_path / "a.poly.xml" and found.config == config
-    assert len(found.every) == 5
-    bare = config.find(tmp_path / "a.net.xml")
-    assert bare.config is None and bare.polygons == tmp_path / "a.poly.xml"
-    for content, told in (
-        ("<configuration/>", "names no net-file"),
-        ("<routes/>", "neither a network nor a configuration of SUMO but a <routes>"),
-        ("<net", "is no XML"),
-    ):
-        config.write_text(content)
-        with pytest.raises(BrokenData, match=told):
-            config.find(config)
-    with pytest.raises(BrokenData, match="cannot be read"):
-        config.find(tmp_path / "none.net.xml")
-    (tmp_path / "a.poly.xml").write_text('<additional><poly id="x" type="building" shape="1,2 3"/></additional>')
-    with pytest.raises(BrokenData, match="polygon 'x'"):
-        config.buildings(tmp_path / "a.poly.xml")
 
 
 def test_without_sumo_the_way_out_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -247,7 +168,9 @@ def test_a_configuration_drives_its_own_demand(grid: Path, tmp_path: Path) -> No
     assert crowd[0] < 0.7 * crowd[1]
 
 
-def test_what_cannot_be_cast_or_driven_is_told(grid: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_cannot_be_selected_or_driven_is_refused(
+    grid: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("cp_env.scenes.sumo.live.TRIES", 1)
     with pytest.raises(ValueError, match=r"no 9 connected vehicles stay within 50 m .* raise density or share"):
         LiveSumo(grid, share=0.05, vehicles=9, warm_up=0.0).load("g-000000")

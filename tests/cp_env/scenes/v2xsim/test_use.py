@@ -24,7 +24,7 @@ from cp_env.detector.training.data import prepare
 from cp_env.evaluation.execution.workers import open_bank
 from cp_env.scenes import open_source
 from cp_env.scenes.export import export
-from cp_env.scenes.subset import Some
+from cp_env.scenes.subset import SceneSubset
 from cp_env.testing import check_scenes
 from cp_env.world.scene_cache import SceneBank
 from cp_env.world.world import World
@@ -71,12 +71,12 @@ def test_maps_are_cached_under_the_sets_digest(spec: str, tmp_path: Path) -> Non
 @pytest.mark.parametrize("kind", ["raw", "det"])
 def test_environments_play_in_it(spec: str, det: str, kind: str) -> None:
     scenes = spec if kind == "raw" else det
-    knobs = {"n_vehicles": 3, "n_attackers": 1, "action": "basis", "max_frames": 2}
-    env = cp_env.parallel_env("ego_only", scenes=scenes, rsu=True, **knobs)
+    options = {"n_vehicles": 3, "n_attackers": 1, "action": "basis", "max_frames": 2}
+    env = cp_env.parallel_env("ego_only", scenes=scenes, rsu=True, **options)
     env.reset(seed=0)
     *_, infos = env.step({agent: env.action_space(agent).sample() for agent in env.agents})
     assert all(np.isfinite(info["damage"]) for info in infos.values())
-    envs = cp_env.vector_env(2, "ego_only", scenes=open_source(scenes), **knobs)
+    envs = cp_env.vector_env(2, "ego_only", scenes=open_source(scenes), **options)
     envs.reset(seed=0)
     envs.step(envs.action_space.sample())
     with pytest.raises(ValueError, match="holds only 3 connected vehicles"):
@@ -114,22 +114,22 @@ def test_the_papers_setting_by_the_documented_commands(tmp_path: Path, monkeypat
     assert about(weights)["calibrated"] == calibrate.scenes
     play = tyro.cli(benchmark.Args, args=rest)
     assert (play.vehicles, play.frames, play.ks, play.protocol) == (5, 100, (1, 2, 3, 4), "coperception")
-    few = {"frames": 2, "defenders": ("prbi",), "attackers": ("pgd:steps=1",), "ks": (2,), "gif": False}
+    few = {"frames": 2, "defenders": ("prbi",), "attacks": ("pgd:steps=1",), "ks": (2,), "gif": False}
     benchmark.main(replace(play, weights=str(weights), out=tmp_path / "out", **few))  # type: ignore[arg-type]
     assert "scene_5" in json.dumps(json.loads((tmp_path / "out" / "results.json").read_text()))
     with pytest.raises(ValueError, match="fuse by mean; choose that fusion, not max"):
-        open_bank(evaluation.Protocol(play.scenes, ("scene_5",), fusion="max", weights=str(weights)))
+        open_bank(evaluation.Conditions(play.scenes, ("scene_5",), fusion="max", weights=str(weights)))
 
 
 def test_the_benchmark_takes_a_path_or_a_source(spec: str) -> None:
     source = open_source(spec)
-    for scenes in (spec, source, Some(spec, 1)):
-        protocol = evaluation.Protocol(scenes=scenes, names=source.names()[:1], frames=2, n_vehicles=3)
-        assert open_bank(protocol).source.digest == source.digest
-        (cell,) = evaluation.plan(protocol, defenders=["none"], attacks=["none"], ks=[1], seeds=[0])
-        assert cell.slug(protocol) and World(1, defender="none", scenes=scenes, n_vehicles=3, n_attackers=1)
+    for scenes in (spec, source, SceneSubset(spec, 1)):
+        conditions = evaluation.Conditions(scenes=scenes, names=source.names()[:1], frames=2, n_vehicles=3)
+        assert open_bank(conditions).source.digest == source.digest
+        (cell,) = evaluation.plan_runs(conditions, defenders=["none"], attacks=["none"], ks=[1], seeds=[0])
+        assert cell.slug(conditions) and World(1, defender="none", scenes=scenes, n_vehicles=3, n_attackers=1)
     with pytest.raises(ValueError, match="unknown scenes"):
-        evaluation.Protocol(scenes=spec, names=("toy-9",))
+        evaluation.Conditions(scenes=spec, names=("toy-9",))
 
 
 def test_a_source_that_counts_no_returns_can_be_trained_on(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""The shipped heads: all behind one encoder, small, and reached by name from every door."""
+"""The shipped heads: all behind one encoder, small, and reached by name from every constructor."""
 
 from __future__ import annotations
 
@@ -46,15 +46,15 @@ def test_a_trained_head_is_no_other(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", FUSIONS)
-def test_fusion_reaches_the_ego_through_every_door(name: str) -> None:
+def test_fusion_reaches_the_ego_through_every_constructor(name: str) -> None:
     source = ToySource(n_frames=2)
-    knobs = {"fusion": name, "scenes": source, "defender": "none", "action": "basis"}
+    options = {"fusion": name, "scenes": source, "defender": "none", "action": "basis"}
     games = (
-        cp_env.parallel_env(**knobs).unwrapped.game,
-        cp_env.vector_env(2, **knobs).unwrapped.game,
-        gymnasium.make(ENV_ID, **knobs).unwrapped.game,
-        make_vec_env(1, **knobs).game,
+        cp_env.parallel_env(**options).unwrapped.game,
+        cp_env.vector_env(2, **options).unwrapped.game,
+        gymnasium.make(ENV_ID, **options).unwrapped.game,
+        make_vec_env(1, **options).game,
     )
     assert all(game.world.detector is load_detector(name) for game in games)
-    protocol = evaluation.Protocol("town/test", ("test-urban-00",), fusion=name)
-    assert evaluation.open_bank(protocol).detector is load_detector(name)
+    conditions = evaluation.Conditions("town/test", ("test-urban-00",), fusion=name)
+    assert evaluation.open_bank(conditions).detector is load_detector(name)
