@@ -40,7 +40,7 @@ def town(request: pytest.FixtureRequest) -> tuple[SceneSource, str]:
     return source, max(source.names(), key=lambda name: len(source.load(name).size))
 
 
-@pytest.fixture(scope="module", params=["v2x-sim", "v2x-sim-det", "opv2v", "opv2v-ascii"])
+@pytest.fixture(scope="module", params=["v2x-sim", "v2x-sim-det", "opv2v", "opv2v-ascii", "v2v4real", "v2x-real"])
 def spec(
     request: pytest.FixtureRequest, town: tuple[SceneSource, str], tmp_path_factory: pytest.TempPathFactory
 ) -> str:
@@ -50,6 +50,8 @@ def spec(
         write_files(source, root, "test", {name: 5})
     elif layout == "opv2v-ascii":
         writer.write(source, [name], root, data="ascii")
+    elif layout in ("v2v4real", "v2x-real"):
+        writer.write(source, [name], root, kind=layout)
     else:
         export(source, root, layout=layout, names=[name])
     return f"{layout.removesuffix('-ascii')}:{root}"

@@ -13,7 +13,7 @@ MARGIN = 0.05  # m; a box may be this much too tight
 CLEARANCE = 0.1  # m; below it, inside a box, lies the road
 _CELL = 1.0  # m; of the raster by which points are looked up
 _SLACK = 0.01  # m; more than single precision rounds away
-_BLOCK = 8192  # points looked up at once: what is made of them stays in the processor's cache
+BLOCK = 8192  # points looked up at once: what is made of them stays in the processor's cache
 
 
 def count_returns(
@@ -34,9 +34,9 @@ def count_returns(
     boxes = boxes[rows]
     place, half = boxes[:, :3].T.astype(points.dtype), boxes[:, 3:6].T / 2
     cos, sin = np.cos(boxes[:, 6]), np.sin(boxes[:, 6])
-    raster = _Raster.of(boxes, columns, margin)
-    for begin in range(0, len(points), _BLOCK):
-        block = columns[:, begin : begin + _BLOCK]
+    raster = Raster.of(boxes, columns, margin)
+    for begin in range(0, len(points), BLOCK):
+        block = columns[:, begin : begin + BLOCK]
         point, box = raster.pairs(block)
         x, y, z = (block[k].take(point) - place[k].take(box) for k in range(3))
         length, width, height = (half[k].take(box) for k in range(3))
@@ -100,7 +100,7 @@ def returns_of(scene: Scene, frame: int, sweep: Sweep) -> Int[np.ndarray, " M"]:
 
 
 @dataclass(frozen=True)
-class _Raster:
+class Raster:
     """Which boxes a point may lie in, by the cell it falls in: those whose bounding squares share it."""
 
     low: Float[np.ndarray, "3 1"]
@@ -111,7 +111,7 @@ class _Raster:
     box: Int[np.ndarray, " K"]  # cell by cell
 
     @classmethod
-    def of(cls, boxes: Float[np.ndarray, "R 7"], points: Float[np.ndarray, "3 P"], margin: float) -> _Raster:
+    def of(cls, boxes: Float[np.ndarray, "R 7"], points: Float[np.ndarray, "3 P"], margin: float) -> Raster:
         """It spans what boxes and points both reach, and no more: either may have one that is far astray."""
         place, half = boxes[:, :3], boxes[:, 3:6] / 2 + margin + _SLACK
         radius = np.hypot(half[:, 0], half[:, 1])

@@ -17,6 +17,8 @@ SOURCES = {
     "v2x-sim": "cp_env.scenes.v2xsim.source:V2XSim",
     "v2x-sim-det": "cp_env.scenes.v2xsim.preprocessed:V2XSimDet",
     "opv2v": "cp_env.scenes.opv2v.source:OPV2V",
+    "v2v4real": "cp_env.scenes.opv2v.v2v4real:V2V4Real",
+    "v2x-real": "cp_env.scenes.opv2v.v2x_real:V2XReal",
     "sumo": "cp_env.scenes.sumo.live:LiveSumo",
 }
 """Sources with a path: kind to `module:class`, imported when first opened. The class takes the path, then keywords."""

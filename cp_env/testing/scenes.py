@@ -18,6 +18,7 @@ from jaxtyping import Bool, Float
 
 from cp_env.geometry.planar import grid_origin
 from cp_env.scenes import open_source
+from cp_env.scenes.preview.box_fit import fit, share_inside
 from cp_env.testing.rollout import Violation, require
 from cp_env.types import Scene, SceneSource, Sweep
 
@@ -26,6 +27,16 @@ ROAD = 0.5  # m: so far from z = 0 is what a sensor meets near it still road
 NEAR = 15.0  # m
 CLOSE = 0.3  # m: how far a return may lie outside the box it is said to come from
 ANCHOR = 0.01  # m
+SHARE = 0.85  # of the vehicles met have most of their returns in their box
+MISREADINGS = {
+    "x mirrored": [[-1, 0], [0, 1]],
+    "y mirrored": [[1, 0], [0, -1]],
+    "x and y swapped": [[0, 1], [1, 0]],
+    "turned by 90° to the left": [[0, -1], [1, 0]],
+    "turned by 90° to the right": [[0, 1], [-1, 0]],
+    "turned by 180°": [[-1, 0], [0, -1]],
+}
+"""What may have been done to points that fit no box, as matrices."""
 
 
 class LawBroken(AssertionError):
@@ -216,6 +227,32 @@ def the_road_is_at_zero(case: Case) -> None:
         require(road >= 0.02, f"{where}: {road:.0%} of the returns are road; is z that of the sensor?")
 
 
+def returns_lie_in_their_box(case: Case) -> None:
+    """Of the vehicles within 30 m that a sensor meets, 85 % have most of their returns in their box.
+
+    Met are those of which `hits` promises five returns, or which have five, 0.3 m above ground and higher, in their box
+    or within 1 m of it and in no other. Boxes are seen from above and grown by 0.2 m.
+    """
+    good, total = _fitting(case, np.eye(2))
+    if good >= SHARE * total:
+        return
+    found = {name: _fitting(case, np.array(turn, dtype=np.float64)) for name, turn in MISREADINGS.items()}
+    name, (better, of) = max(found.items(), key=lambda item: item[1][0] / max(item[1][1], 1))
+    hint = (
+        f"{better} of {of} would with {name}" if better >= SHARE * of > 0 else "are boxes or points turned or shifted?"
+    )
+    raise Violation(f"only {good} of {total} have; {hint}")
+
+
+def _fitting(case: Case, turn: Float[np.ndarray, "2 2"]) -> tuple[int, int]:
+    """How many vehicles would hold their returns, of how many, if x and y of the points were `turn` times as given."""
+    fits = []
+    for _, scene, t, agent, sweep in case.sweeps():
+        points = np.column_stack([sweep.points[:, :2] @ turn.T.astype(sweep.points.dtype), sweep.points[:, 2]])
+        fits.append(fit(scene, t, agent, Sweep(points, sweep.origin, sweep.hits)))
+    return share_inside(fits)
+
+
 def boxes_hold_their_vehicles(case: Case) -> None:
     """Points are given from the origin along the world's axes: near a sensor, more lie in boxes than round them.
 
@@ -330,6 +367,7 @@ LAWS: tuple[Law, ...] = (
     sweeps_are_finite,
     sweeps_begin_at_their_agent,
     the_road_is_at_zero,
+    returns_lie_in_their_box,
     boxes_hold_their_vehicles,
     hits_lie_in_their_box,
     carriers_do_not_see_themselves,

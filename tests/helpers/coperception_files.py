@@ -1,7 +1,8 @@
 """Detection files as coperception's preprocessing writes them, from any source: slow, for tests only.
 
-Own code after the public one's conventions: voxels by floor, trans_matrices[j] = own_T_j between LiDARs, every anchor
-whose centre is near a car's is given that car, a car nobody is near is given to anchor (0, 0, 0).
+Own code after the public one's conventions: voxels by floor, trans_matrices[j] = own_T_j between LiDARs, targets in the
+sensor's frame mirrored (u = -x), cars up to 32.5 m away in either direction, the carrier among them; every anchor whose
+centre is near a car's is given that car. `tests/cp_env/scenes/v2xsim/test_preprocessed.py` has a file worked by hand.
 """
 
 from __future__ import annotations
@@ -66,9 +67,9 @@ def _content(scene: Scene, t: int, agent: int, sweep: Sweep, poses: dict[int, np
     boxes = []
     for pose, (length, width, _) in zip(scene.pose[t], scene.size, strict=True):
         x, y = own_T_world[:2, :2] @ pose[:2] + own_T_world[:2, 3]
-        if max(abs(x), abs(y)) <= 38:
+        if max(abs(x), abs(y)) <= 32.5:
             boxes.append((x, y, width, length, pose[2] + yaw))
-    labels, targets, allocated, best = _targets(boxes)
+    labels, targets, allocated, best = targets_of(boxes)
     return {
         "voxel_indices_0": voxels,
         "reg_target_sparse": targets[allocated][:, None],
@@ -82,27 +83,25 @@ def _content(scene: Scene, t: int, agent: int, sweep: Sweep, poses: dict[int, np
     }
 
 
-def _targets(boxes: list[tuple[float, ...]]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def targets_of(boxes: list[tuple[float, ...]]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     owner = np.full((256, 256, 6), -1)
     centre = (np.arange(256) + 0.5) * 0.25 - 32
     nearest = np.full((256, 256), np.inf)
     best = []
     for number, (x, y, _, length, _) in enumerate(boxes):
-        away = np.hypot(centre[None, :] - x, centre[:, None] - y)  # [i, j]: row by y, column by x
+        away = np.hypot(centre[None, :] + x, centre[:, None] - y)  # [i, j]: row by v = y, column by u = -x
         mine = (away < max(1.0, length / 5)) & (away < nearest)
         owner[mine] = number
         nearest[mine] = away[mine]
-        if not mine.any():
-            owner[0, 0, 0] = number
-        i, j = np.unravel_index(int(away.argmin()), away.shape) if mine.any() else (0, 0)
+        i, j = np.unravel_index(int(away.argmin()), away.shape)
         best.append((i, j, 0, 1))
     targets = np.zeros((256, 256, 6, 6))
     for i, j, k in np.argwhere(owner >= 0):
         x, y, width, length, yaw = boxes[owner[i, j, k]]
         w, h, turn = ANCHORS[k]
-        angle = math.pi / 2 - yaw
+        angle = yaw + math.pi / 2
         targets[i, j, k] = (
-            (centre[j] - x) / (width + 1e-6),
+            (centre[j] + x) / (width + 1e-6),
             (centre[i] - y) / (length + 1e-6),
             math.log(w / (width + 1e-6)),
             math.log(h / (length + 1e-6)),

@@ -15,10 +15,20 @@ from jaxtyping import Float, Float32
 
 from cp_env.scenes.errors import BrokenData
 from cp_env.scenes.formats import decimals
+from cp_env.scenes.formats.bounded import read_bytes
 
 VERSIONS = ("0.7", ".7")
 ENCODINGS = ("ascii", "binary")
 """What `write` writes; `read` also reads "binary_compressed"."""
+
+FILE_BYTES = 256 << 20
+"""A file is at most so long, and so are the points that it packs."""
+
+TEXT_BYTES = 32 << 20
+"""The points of a text are at most so long: reading them takes up to fifteen times that."""
+
+HEADER_BYTES = 1 << 16
+MAX_FIELDS = 64
 
 
 @dataclass(frozen=True)
@@ -34,17 +44,19 @@ def read(path: Path) -> Float32[np.ndarray, "P 3"]:
     """The points of a file, in the frame it was written in; m.
 
     Raises:
-        BrokenData: the file is missing, of another version, cut short, or holds no x, y, z.
+        BrokenData: the file is missing, of another version, cut short, larger than the bounds above, or holds no x, y,
+            z.
     """
     try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise BrokenData(path, f"cannot be read: {error.strerror}") from error
+        content = read_bytes(path, FILE_BYTES)
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise BrokenData(path, f"cannot be read: {reason}") from error
     try:
         header, body = _header(content)
         rows = {"ascii": _text, "binary": _binary, "binary_compressed": _compressed}[header.data](header, body)
-    except (ValueError, KeyError, IndexError, TypeError, struct.error) as error:
-        raise BrokenData(path, f"is no point cloud that can be read: {error}") from error
+    except (ValueError, KeyError, IndexError, TypeError, OverflowError, struct.error) as error:
+        raise BrokenData(path, f"is no point cloud that can be read: {str(error)[:300]}") from error
     finite = np.isfinite(rows)
     return rows if finite.all() else rows[finite.all(axis=1)]
 
@@ -74,7 +86,7 @@ def _header(content: bytes) -> tuple[Header, memoryview]:
     said: dict[str, list[str]] = {}
     start = 0
     while "DATA" not in said:
-        end = content.find(b"\n", start)
+        end = content.find(b"\n", start, HEADER_BYTES)
         if end < 0:
             raise ValueError("its header ends before the line DATA")
         words = content[start:end].decode("ascii", errors="replace").split()
@@ -86,7 +98,11 @@ def _header(content: bytes) -> tuple[Header, memoryview]:
     fields = said["FIELDS"]
     if not {"x", "y", "z"} <= set(fields):
         raise ValueError(f"its fields are {' '.join(fields)}, without x, y and z")
+    if len(fields) > MAX_FIELDS or not set(said["SIZE"]) <= {"1", "2", "4", "8"}:
+        raise ValueError(f"it has {len(fields)} fields of sizes {' '.join(said['SIZE'])[:80]}, known are 1, 2, 4 and 8")
     counts = [int(count) for count in said.get("COUNT", ["1"] * len(fields))]
+    if not all(1 <= count <= HEADER_BYTES for count in counts):
+        raise ValueError(f"its fields count {min(counts)} to {max(counts)} numbers a point")
     kinds = [{"F": "f", "I": "i", "U": "u"}[kind] + size for kind, size in zip(said["TYPE"], said["SIZE"], strict=True)]
     columns = [
         (f"{k}:{name}", f"<{kind}", (count,))
@@ -112,13 +128,15 @@ def _axes(header: Header) -> list[tuple[str, int, int]]:
 
 
 def _text(header: Header, body: memoryview) -> Float32[np.ndarray, "P 3"]:
-    text = decimals.Text(body)
     each = sum(header.row[name].shape[0] for name in header.row.names or ())
+    if len(body) > TEXT_BYTES:
+        raise ValueError(f"a text of {len(body)} bytes; at most {TEXT_BYTES} are read, a binary file may be larger")
+    if 2 * header.points * each > len(body) + 1:
+        raise ValueError(f"it is cut short: its header promises {header.points} points, it holds {len(body)} bytes")
+    text = decimals.Text(body)
     if len(text) != header.points * each:
         raise ValueError(f"it is cut short: its header promises {header.points} points, it holds {len(text) // each}")
-    return np.stack(
-        [text.numbers(slice(number, None, each)).astype(np.float32) for _, number, _ in _axes(header)], axis=1
-    )
+    return np.stack([_single(text.numbers(slice(number, None, each))) for _, number, _ in _axes(header)], axis=1)
 
 
 def _binary(header: Header, body: memoryview) -> Float32[np.ndarray, "P 3"]:
@@ -126,20 +144,28 @@ def _binary(header: Header, body: memoryview) -> Float32[np.ndarray, "P 3"]:
     if len(body) < wanted:
         raise ValueError(f"it is cut short: its header promises {wanted} bytes of points, it holds {len(body)}")
     rows = np.frombuffer(body, header.row, header.points)
-    return np.stack([rows[name][:, 0] for name, _, _ in _axes(header)], axis=1).astype(np.float32, copy=False)
+    return np.stack([_single(rows[name][:, 0]) for name, _, _ in _axes(header)], axis=1)
 
 
 def _compressed(header: Header, body: memoryview) -> Float32[np.ndarray, "P 3"]:
     """All x, then all y, and so on, packed by LZF behind their packed and unpacked sizes."""
     packed, unpacked = struct.unpack_from("<II", body)
+    if unpacked > FILE_BYTES:
+        raise ValueError(f"its points unpack to {unpacked} bytes; at most {FILE_BYTES} are read")
     if len(body) < 8 + packed or unpacked < header.points * header.row.itemsize:
         raise ValueError(f"it is cut short: {len(body) - 8} of {packed} packed bytes are there")
     plain = unpack_lzf(bytes(body[8 : 8 + packed]), unpacked)
     columns = [
-        np.frombuffer(plain, header.row[name], header.points, size * header.points)[:, 0]
+        _single(np.frombuffer(plain, header.row[name], header.points, size * header.points)[:, 0])
         for name, _, size in _axes(header)
     ]
-    return np.stack(columns, axis=1).astype(np.float32, copy=False)
+    return np.stack(columns, axis=1)
+
+
+def _single(numbers: np.ndarray) -> Float32[np.ndarray, " P"]:
+    """In single precision; what is too large becomes infinite, which is no return."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return numbers.astype(np.float32, copy=False)
 
 
 def unpack_lzf(packed: bytes, size: int) -> bytes:
@@ -151,7 +177,7 @@ def unpack_lzf(packed: bytes, size: int) -> bytes:
     plain = bytearray()
     at = 0
     try:
-        while at < len(packed):
+        while at < len(packed) and len(plain) <= size:
             control = packed[at]
             at += 1
             if control < 32:

@@ -8,20 +8,38 @@ Convention:
 
 from __future__ import annotations
 
-import zipfile
-import zlib
-from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from cp_env.scenes.formats.bounded import read_bytes
+from cp_env.scenes.formats.plain_numpy import NPZ_BYTES, load_npz
 from cp_env.types import Scene
 
 VERSION = 1
+
+MAX_POSES = 10_000_000
+"""Frames times vehicles of a recording, at most."""
+
 _LENGTH, _ANGLE = 0.01, 0.001
 _POSE = np.array([_LENGTH, _LENGTH, _ANGLE])
 _BOX = np.array([_LENGTH, _LENGTH, _ANGLE, _LENGTH, _LENGTH, _LENGTH])
+
+_LAYOUT = {
+    "version": ("i8", 0),
+    "kind": ("U", 0),
+    "dt": ("f8", 0),
+    "present": ("u1", 2),
+    "first": ("i4", 2),
+    "steps": ("i2", 3),
+    "parked": ("i4", 2),
+    "size": ("i2", 2),
+    "connected": ("i2", 1),
+    "rsu": ("i4", 1),
+    "obstacles": ("i4", 2),
+}
+"""Type and number of axes of each array."""
 
 
 def write(path: Path, scene: Scene) -> None:
@@ -54,16 +72,17 @@ def read(path: Path, name: str) -> Scene:
     """The scene stored in `path`.
 
     Raises:
-        ValueError: the file is missing, broken, or of another version; the message names it.
+        ValueError: the file is missing, broken, of another version, or larger than the bounds of `plain_numpy` and
+            `MAX_POSES`; the message names it.
     """
     data = content(path, name)
     try:
-        with np.load(BytesIO(data), allow_pickle=False) as file:
-            arrays = {key: file[key] for key in file.files}
-        if int(arrays["version"]) != VERSION:
-            raise ValueError(f"version {int(arrays['version'])}, this program reads {VERSION}")
+        arrays = load_npz(data)
+        if "version" in arrays and arrays["version"].tolist() != VERSION:
+            raise ValueError(f"version {str(arrays['version'])[:40]}, this program reads {VERSION}")
+        _check(arrays)
         return _unpack(arrays, name)
-    except (ValueError, KeyError, IndexError, TypeError, OSError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+    except ValueError as error:
         raise ValueError(f"recording {path} is broken ({error}); reinstall or record it again") from error
 
 
@@ -74,9 +93,41 @@ def content(path: Path, name: str) -> bytes:
         ValueError: `path` cannot be read.
     """
     try:
-        return path.read_bytes()
-    except OSError as error:
+        return read_bytes(path, NPZ_BYTES)
+    except (OSError, ValueError) as error:
         raise ValueError(f"scene {name!r} needs the recording {path}: {error}; reinstall or record it again") from error
+
+
+def _check(arrays: dict[str, np.ndarray]) -> None:
+    """ValueError unless the arrays are those of a recording, and fit each other."""
+    if lacking := sorted(_LAYOUT.keys() ^ arrays.keys()):
+        raise ValueError(f"the array {lacking[0][:40]!r} is missing, or is none of a recording's")
+    for name, (kind, axes) in _LAYOUT.items():
+        array = arrays[name]
+        if array.dtype.str.lstrip("<|")[: len(kind)] != kind or array.ndim != axes:
+            raise ValueError(f"{name} is of type {array.dtype} with {array.ndim} axes, not {kind} with {axes}")
+    n_frames, n_moving, n_parked = len(arrays["steps"]) + 1, len(arrays["first"]), len(arrays["parked"])
+    n_vehicles = n_moving + n_parked
+    if n_frames * max(n_vehicles, 1) > MAX_POSES:
+        raise ValueError(f"{n_frames} frames of {n_vehicles} vehicles, of which at most {MAX_POSES} in all are read")
+    n_connected = len(arrays["connected"])
+    shapes = {
+        "present": (-(-n_frames // 8), n_moving),
+        "first": (n_moving, 3),
+        "steps": (n_frames - 1, n_moving, 3),
+        "parked": (n_parked, 3),
+        "size": (n_vehicles, 3),
+        "rsu": (min(len(arrays["rsu"]), 1) * 3,),
+        "obstacles": (len(arrays["obstacles"]), 6),
+    }
+    for name, shape in shapes.items():
+        if arrays[name].shape != shape:
+            raise ValueError(f"{name} has shape {arrays[name].shape}, not {shape}")
+    rows = arrays["connected"].tolist()
+    if len(set(rows)) != n_connected or not all(0 <= row < n_vehicles for row in rows):
+        raise ValueError(f"connected are not distinct rows of {n_vehicles} vehicles")
+    if not 0 < float(arrays["dt"]) < np.inf:
+        raise ValueError(f"dt must be a positive number of seconds, not {float(arrays['dt'])}")
 
 
 def _unpack(arrays: dict[str, np.ndarray], name: str) -> Scene:

@@ -1,11 +1,14 @@
-"""CARLA's axes and ours.
+"""The axes of the files and ours.
 
 Convention:
     CARLA   left-handed: x forward (east), y right (south), z up; degrees; yaw turns from x to y, that is clockwise seen
             from above; a positive pitch lifts the nose, a positive roll lowers the right side. A pose is
             (x, y, z, roll, yaw, pitch).
+    real    recordings of real vehicles in OPV2V's folders: right-handed, y to the left. Their poses are 4 × 4 matrices,
+            or six numbers that make a matrix by CARLA's formula.
     ours    right-handed: x east, y north, z up; radians, counter-clockwise.
-    Both worlds share x and z; y is mirrored. So are the frames of the sensors and of the vehicles.
+    CARLA's world and ours share x and z; y is mirrored. So are the frames of the sensors and of the vehicles. A real
+    world is taken as it is.
 
     ```
        CARLA, from above            ours, from above
@@ -27,16 +30,19 @@ from jaxtyping import Float
 _MIRROR = np.array([1.0, -1.0, 1.0])
 
 
-def carla_motion(pose: Float[np.ndarray, " 6"]) -> Float[np.ndarray, "3 4"]:
+def carla_motion(pose: Float[np.ndarray, "*n 6"]) -> Float[np.ndarray, "*n 3 4"]:
     """carla_T_body, `[R | t]`, of a pose (x, y, z, roll, yaw, pitch): from the body to CARLA's world; m, degrees."""
-    (cr, cy, cp), (sr, sy, sp) = (trig(np.deg2rad(pose[3:])) for trig in (np.cos, np.sin))
-    about_z = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
-    about_y = np.array([[cp, 0, -sp], [0, 1, 0], [sp, 0, cp]])
-    about_x = np.array([[1, 0, 0], [0, cr, sr], [0, -sr, cr]])
-    return np.column_stack([about_z @ about_y @ about_x, pose[:3]])
+    angle = np.deg2rad(pose[..., 3:])
+    (cr, cy, cp), (sr, sy, sp) = np.moveaxis(np.cos(angle), -1, 0), np.moveaxis(np.sin(angle), -1, 0)
+    rows = (
+        (cp * cy, cy * sp * sr - sy * cr, -cy * sp * cr - sy * sr, pose[..., 0]),
+        (sy * cp, sy * sp * sr + cy * cr, -sy * sp * cr + cy * sr, pose[..., 1]),
+        (sp, -cp * sr, cp * cr, pose[..., 2]),
+    )
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-def from_carla(pose: Float[np.ndarray, " 6"]) -> Float[np.ndarray, "3 4"]:
+def from_carla(pose: Float[np.ndarray, "*n 6"]) -> Float[np.ndarray, "*n 3 4"]:
     """world_T_body, `[R | t]`, in our axes: from the body, its y to the left, to our world; m."""
     return _MIRROR[:, None] * carla_motion(pose) * np.append(_MIRROR, 1.0)
 

@@ -1,7 +1,8 @@
 """Previews of any source: a GIF of what all sensors see from above, and figures of how often vehicles are seen.
 
 Convention: the GIF follows the ego; x points east (right), y north (up), as in `cp_env.types`; m. A box's line points
-to its front, so that points outside their box, a mirrored axis or a turned heading show at once.
+to its front, so that points outside their box, a mirrored axis or a turned heading show at once; boxes that returns
+miss have a colour of their own.
 """
 
 from __future__ import annotations
@@ -11,11 +12,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 from PIL import Image, ImageDraw, ImageFont
 
 from cp_env.geometry.planar import corners
 from cp_env.lidar.returns import returns_of
+from cp_env.scenes.preview.box_fit import Fit, fit
+from cp_env.scenes.preview.classes import classes_of
 from cp_env.types import Scene, SceneSource, Sweep
 
 Colour = tuple[int, int, int]
@@ -25,7 +28,7 @@ SEEN_AT = 3  # returns that make a vehicle count as seen
 SIDE, LEFT, TOP = 600, 46, 58  # pixels: edge and place of the map
 SIZE = (LEFT + SIDE + 16, TOP + SIDE + 84)
 GROUND, GRID, INK, FAINT = (13, 16, 22), (32, 38, 48), (230, 234, 240), (140, 149, 163)
-WALL, MET, UNMET = (74, 82, 96), (58, 190, 98), (247, 221, 72)
+WALL, MET, UNMET, MISSED = (74, 82, 96), (58, 190, 98), (247, 221, 72), (255, 64, 160)
 AGENTS: tuple[Colour, ...] = (
     (235, 235, 235), (86, 180, 233), (230, 159, 0), (204, 121, 167), (0, 190, 150),
     (213, 94, 0), (120, 130, 255), (190, 220, 90), (160, 120, 90), (255, 150, 180),
@@ -43,6 +46,9 @@ class Figures:
     reach: Float[np.ndarray, "F A"]  # distance that 99 % of its points stay below; m
     hits: Int[np.ndarray, "F A M"]  # returns of each agent from each vehicle
     present: Int[np.ndarray, " F"]  # vehicles in the scene
+    classes: tuple[str, ...]  # of each vehicle
+    told: bool  # whether the source names the classes; they are guessed from sizes where it does not
+    fits: tuple[tuple[Fit, ...], ...]  # [frame][agent]: whether returns lie in their boxes
 
     @property
     def seen(self) -> Float[np.ndarray, " M"]:
@@ -58,6 +64,19 @@ class Figures:
         total = there.sum(axis=0)
         met = ((hits >= SEEN_AT) & there).sum(axis=0)
         return np.where(total > 0, met / np.maximum(total, 1), np.nan)
+
+    @property
+    def redundancy(self) -> Float[np.ndarray, " A"]:
+        """Share of the vehicles in a frame that one agent or more, two or more, ... see; mean over the frames."""
+        there = np.isfinite(self.scene.pose[self.frames, :, 0])
+        seers = (self.hits >= SEEN_AT).sum(axis=1)[there]
+        return np.array([(seers >= n + 1).mean() for n in range(self.hits.shape[1])])
+
+    @property
+    def speed(self) -> Float[np.ndarray, "T M"]:
+        """Of every vehicle from one of the scene's frames to the next; m/s, NaN where it is absent in either."""
+        step = np.diff(self.scene.pose[..., :2], axis=0)
+        return np.asarray(np.linalg.norm(step, axis=2) / self.scene.dt)
 
     @property
     def nearest(self) -> Float[np.ndarray, " M"]:
@@ -78,6 +97,7 @@ def figures(source: SceneSource, name: str, frames: Sequence[int]) -> Figures:
         raise ValueError("figures need at least one frame, got none")
     scene = source.load(name)
     films = source.sweeps(scene, frames)
+    classes, told = classes_of(source, scene)
     return Figures(
         scene=scene,
         frames=np.asarray(frames),
@@ -87,6 +107,12 @@ def figures(source: SceneSource, name: str, frames: Sequence[int]) -> Figures:
             [[returns_of(scene, t, sweep) for sweep in sweeps] for t, sweeps in zip(frames, films, strict=True)]
         ),
         present=np.isfinite(scene.pose[np.asarray(frames), :, 0]).sum(axis=1),
+        classes=classes,
+        told=told,
+        fits=tuple(
+            tuple(fit(scene, int(t), agent, sweep) for agent, sweep in enumerate(sweeps))
+            for t, sweeps in zip(frames, films, strict=True)
+        ),
     )
 
 
@@ -112,9 +138,13 @@ def draw(scene: Scene, frame: int, sweeps: Sequence[Sweep], *, extent: float = 4
     pen = ImageDraw.Draw(panel)
     _walls(pen, scene, ego, extent)
     met = np.max([returns_of(scene, frame, sweep) for sweep in sweeps], axis=0) >= SEEN_AT
-    _vehicles(pen, scene, frame, ego, met, colours, extent)
+    missed = np.zeros(len(scene.size), dtype=np.bool_)
+    for agent, sweep in enumerate(sweeps):
+        one = fit(scene, frame, agent, sweep)
+        missed[one.rows[one.missed]] = True
+    _vehicles(pen, scene, frame, ego, met, missed, colours, extent)
     image.paste(panel, (LEFT, TOP))
-    _words(ImageDraw.Draw(image), scene, frame, sweeps, met, colours)
+    _words(ImageDraw.Draw(image), scene, frame, sweeps, met, missed, colours)
     return np.asarray(image)
 
 
@@ -145,7 +175,7 @@ def spec_of(text: str) -> str:
     if not path.exists():
         return text
     if path.is_file():
-        kind = "sumo" if {".sumocfg", ".net"} & set(path.suffixes) else ""
+        kind = "sumo" if {".sumocfg", ".cfg", ".net"} & set(path.suffixes) else ""
     elif any(path.glob("scene.json")) or any(path.glob("*/scene.json")):
         kind = "v2x-sim"
     elif any(path.glob("agent*")) or any(path.glob("*/agent*")):
@@ -181,7 +211,8 @@ def _vehicles(
     scene: Scene,
     frame: int,
     ego: Float[np.ndarray, " 2"],
-    met: np.ndarray,
+    met: Bool[np.ndarray, " M"],
+    missed: Bool[np.ndarray, " M"],
     colours: Sequence[Colour],
     extent: float,
 ) -> None:
@@ -194,8 +225,9 @@ def _vehicles(
         colour = colours[k] if k is not None else MET if met[row] else UNMET
         middle = _pixels(box[:2], extent)
         front = (np.array(outline[0]) + np.array(outline[3])) / 2
-        pen.polygon(outline, outline=colour, width=2, fill=GROUND if k is not None else None)
-        pen.line([*middle.tolist(), *front.tolist()], fill=colour, width=2)
+        edge = MISSED if missed[row] else colour
+        pen.polygon(outline, outline=edge, width=2, fill=GROUND if k is not None else None)
+        pen.line([*middle.tolist(), *front.tolist()], fill=edge, width=2)
         if k is not None:
             spot = (float(middle[0]), float(middle[1]))
             pen.text(spot, str(k), colour, _font(15), anchor="mm", stroke_width=3, stroke_fill=GROUND)
@@ -209,7 +241,8 @@ def _words(
     scene: Scene,
     frame: int,
     sweeps: Sequence[Sweep],
-    met: np.ndarray,
+    met: Bool[np.ndarray, " M"],
+    missed: Bool[np.ndarray, " M"],
     colours: Sequence[Colour],
 ) -> None:
     present = np.isfinite(scene.pose[frame, :, 0])
@@ -218,6 +251,8 @@ def _words(
     pen.text((LEFT + SIDE, 14), clock, INK, _font(13), anchor="ra")
     total = sum(len(sweep.points) for sweep in sweeps)
     counts = f"{present.sum()} vehicles, {(met & present).sum()} of them seen by a sensor; {total:,} points"
+    if missed.any():
+        counts += f"; returns miss {missed.sum()} boxes"
     pen.text((LEFT, 36), counts, FAINT, _font(12))
     x, y = LEFT, TOP + SIDE + 44
     for k, colour in enumerate(colours):
@@ -226,7 +261,8 @@ def _words(
         pen.text((x + 15, y), name, FAINT, _font(12), anchor="lm")
         x += 29 + round(pen.textlength(name, _font(12)))
     x, y = LEFT, TOP + SIDE + 66
-    for name, colour in (("another vehicle, seen", MET), ("seen by no sensor", UNMET), ("wall or building", WALL)):
+    kinds = (("seen", MET), ("seen by no sensor", UNMET), ("returns miss its box", MISSED), ("wall or building", WALL))
+    for name, colour in kinds:
         pen.rectangle((x, y - 5, x + 18, y + 5), outline=colour, width=2)
         pen.text((x + 25, y), name, FAINT, _font(12), anchor="lm")
         x += 45 + round(pen.textlength(name, _font(12)))

@@ -5,7 +5,6 @@ Convention: as in SUMO, x east, y north; m.
 
 from __future__ import annotations
 
-import gzip
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 from itertools import pairwise
@@ -17,8 +16,10 @@ from jaxtyping import Float
 from shapely.geometry import Polygon
 
 from cp_env.scenes.errors import BrokenData
+from cp_env.scenes.sumo.demand import seconds
 from cp_env.scenes.sumo.network import Streets
 from cp_env.scenes.sumo.traffic import write_types
+from cp_env.scenes.sumo.xml_files import parse
 
 PER_KM = 15.0
 """Vehicles on a kilometre of lane at density 1."""
@@ -37,15 +38,18 @@ class Files:
     net: Path
     polygons: Path | None
     every: tuple[Path, ...]  # that the simulation reads
+    demand: tuple[Path, ...] = ()  # additional files, then route files: where vehicle types and vehicles stand
+    begin: float = 0.0  # s, of the configuration's own period
+    end: float = np.inf  # s
 
 
 def find(path: Path) -> Files:
-    """The files that a `.sumocfg` or a `.net.xml` (or either packed: `.gz`) stands for.
+    """The files that a `.sumocfg` or a `.net.xml` stands for; all but the configuration may be packed (`.gz`).
 
     Polygons are the configuration's additional file called `*.poly.xml`, or `NAME.poly.xml` next to `NAME.net.xml`.
 
     Raises:
-        BrokenData: a file is missing or no XML, or the configuration names no network.
+        BrokenData: a file is missing or no XML, the configuration is packed, names no network, or its period is none.
     """
     root = parse(path)
     if root.tag == "net":
@@ -54,6 +58,8 @@ def find(path: Path) -> Files:
         return Files(None, path, polygons, (path, *filter(None, [polygons])))
     if root.tag not in ("configuration", "sumoConfiguration"):
         raise BrokenData(path, f"is neither a network nor a configuration of SUMO but a <{root.tag}>")
+    if path.suffix == ".gz":
+        raise BrokenData(path, "is a packed configuration, which SUMO does not read: unpack it with gunzip")
     named = {
         key: [path.parent / name.strip() for name in _value(root, key).split(",") if name.strip()] for key in _KEYS
     }
@@ -64,7 +70,12 @@ def find(path: Path) -> Files:
         if not file.exists():
             raise BrokenData(file, f"is missing; {path.name} names it")
     polygons = next((file for file in named["additional-files"] if ".poly.xml" in file.name), None)
-    return Files(path, named["net-file"][0], polygons, every)
+    try:
+        begin, end = seconds(_value(root, "begin") or "0"), seconds(_value(root, "end") or "-1")
+    except ValueError as error:
+        raise BrokenData(path, f"begin or end: {error}") from error
+    demand = (*(file for file in named["additional-files"] if file != polygons), *named["route-files"])
+    return Files(path, named["net-file"][0], polygons, every, demand, begin, end if end >= 0 else np.inf)
 
 
 _KEYS = ("net-file", "route-files", "additional-files")
@@ -73,21 +84,6 @@ _KEYS = ("net-file", "route-files", "additional-files")
 def _value(root: ET.Element, key: str) -> str:
     element = root.find(f".//{key}")
     return "" if element is None else element.get("value", element.get("v", ""))
-
-
-def parse(path: Path) -> ET.Element:
-    """The root of an XML file, plain or packed by gzip.
-
-    Raises:
-        BrokenData: it is missing or no XML.
-    """
-    try:
-        with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as file:
-            return ET.parse(file).getroot()
-    except OSError as error:
-        raise BrokenData(path, f"cannot be read: {error.strerror or error}") from error
-    except (ET.ParseError, EOFError) as error:
-        raise BrokenData(path, f"is no XML: {error}") from error
 
 
 def buildings(path: Path) -> Float[np.ndarray, "B 6"]:
@@ -137,7 +133,7 @@ def write_demand(
 
     They enter and leave at dead ends where the network has some, else anywhere.
     """
-    lanes = [lane for lane in streets.lanes if not lane.internal]
+    lanes = [lane for lane in streets.lanes if lane.cars and not lane.internal]
     length = np.array([np.linalg.norm(np.diff(lane.shape, axis=0), axis=1).sum() for lane in lanes])
     edges = [lane.edge for lane in lanes]
     enter, leave = streets.sources or edges, streets.sinks or edges
@@ -160,5 +156,5 @@ def write_demand(
 
 def lane_kilometres(streets: Streets) -> float:
     """Length of all lanes for cars, junctions left out; km."""
-    lanes = [lane.shape for lane in streets.lanes if not lane.internal]
+    lanes = [lane.shape for lane in streets.lanes if lane.cars and not lane.internal]
     return float(sum(np.linalg.norm(np.diff(shape, axis=0), axis=1).sum() for shape in lanes)) / 1000

@@ -2,6 +2,7 @@
 
     open_source("sumo:urban?seed=3")
     open_source("sumo:/data/ingolstadt.sumocfg?density=0.8&share=0.3")
+    open_source("sumo:/data/bologna.sumocfg?begin=28800")
 
 Scenes are numbered, and number k is a function of (network, options, seed, k) alone: whatever process asks for it, in
 whatever order, gets the same. A simulation begins and ends inside `load`, as libsumo holds one a process; processes do
@@ -14,38 +15,41 @@ import hashlib
 import re
 import tempfile
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
+from contextlib import closing
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import shapely
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from cp_env import lidar
 from cp_env.scenes.errors import BrokenData
-from cp_env.scenes.sumo import build, config, selection, traffic
+from cp_env.scenes.sumo import build, config, demand, selection, traffic
 from cp_env.scenes.sumo.network import Streets, build_streets, draw_streets, read_network
+from cp_env.scenes.sumo.places import focus, meetings, quarter
 from cp_env.scenes.sumo.roadside import STYLES
 from cp_env.scenes.sumo.traffic import Tracks
 from cp_env.scenes.sumo.vehicle_sizes import draw_sizes
 from cp_env.scenes.town import KINDS
 from cp_env.types import Scene, Sweep
 
-VERSION = 2
+VERSION = 3
 """Part of the digest: rises when the same files give other scenes."""
 
-SECONDS = 40.0  # s kept of each simulation, to choose the 20 s of a scene from
-TRIES = 12
+SECONDS = 40.0  # s of traffic at a time, to choose the 20 s of a scene from
+LONGEST = 900.0  # s: so long a configuration's demand drives on until enough vehicles meet
+TRIES = 12  # simulations
+STRICT = 3  # of them in which only moving vehicles are connected
+EMPTY = 3  # simulations with too few cars after which no more are tried
 SELECTIONS = 3  # tried at each place
 JUMP = 14.0  # m in a frame, 250 km/h: what moves farther was moved by SUMO
-AROUND = 270.0  # m: of a large network only what is so near to the place of the scene is used
-PLACES = 3  # tried in each simulation
+PLACES = 3  # tried in each stretch of traffic
 CROWD = 400  # vehicles: where more would drive through a bare network, they do so only round one place
-DRIVEN = 420.0  # m: so far from it
 _KEPT = 8  # scenes in memory
+_BLOCK = 2**20  # bytes of a file read at a time
 
 
 class LiveSumo:
@@ -53,6 +57,15 @@ class LiveSumo:
 
     A scene has 100 frames at 5 Hz. Its world is turned at random and has its origin at the ego's path. Where traffic
     begins and ends inside a network, vehicles may appear and vanish; connected ones are there in every frame.
+
+    Connected are vehicles that move. One that drives less than 10 m in the 20 s stands for the whole scene: it is
+    chosen only where three simulations found no place with enough that move, and then only to make up the number asked
+    for. Windows in which the connected wait less are preferred. The place, the ego and its partners are drawn from the
+    seed and the number of the scene.
+
+    The demand of a configuration drives in its busiest hour, unless `begin` names another: a simulation begins at a
+    moment of that hour drawn at random, and goes on for up to 15 minutes, until enough vehicles meet. Trams, trains,
+    ships, bicycles and people are left out, though they drive.
 
     Args:
         path: a `.sumocfg` (its own demand drives), a `.net.xml` (demand is drawn: see `density`), or one of "urban",
@@ -68,12 +81,15 @@ class LiveSumo:
         polygons: file of the buildings, which then take the place of houses; by default the one that the configuration
             names, or that lies next to the network.
         warm_up: s simulated before anything is recorded.
+        begin: s of the simulation's clock, where the hour begins that scenes of a configuration are taken from. By
+            default the hour, within the configuration's own period, in which the most cars depart: `vehicle`, `trip`
+            and `flow` in its route and additional files are counted.
 
     Raises:
-        BrokenData: a file is missing or no XML.
+        BrokenData: a file is missing or no XML, or a network has no lane for cars.
         ImportError: SUMO is not installed.
-        ValueError: an option out of range; or, by `load`, no place with enough connected vehicles, or a network or
-            demand that SUMO refuses.
+        ValueError: an option out of range; or, by `load`, nothing drives, there is no place with enough connected
+            vehicles, or SUMO refuses the network or the demand.
     """
 
     endless = True
@@ -90,11 +106,14 @@ class LiveSumo:
         furnish: str = "urban",
         polygons: Path | None = None,
         warm_up: float = 60.0,
+        begin: float | None = None,
     ) -> None:
         if density <= 0 or not 0 < share <= 1 or warm_up < 0:
             raise ValueError(
                 f"density must be above 0, share in (0, 1], warm_up at least 0: got {density}, {share}, {warm_up}"
             )
+        if begin is not None and not 0 <= begin < demand.LONGEST:
+            raise ValueError(f"begin must be within 0 and 366 days, in seconds: got {begin}")
         if seed < 0 or scenes < 1 or vehicles < 2:
             raise ValueError(
                 f"seed must be 0 or more, scenes 1 or more, vehicles 2 or more: got {seed}, {scenes}, {vehicles}"
@@ -104,9 +123,13 @@ class LiveSumo:
         simulator = traffic.version()
         self._drawn = str(path) if str(path) in KINDS else None
         self._files = None if self._drawn else config.find(Path(path))
+        if begin is not None and (self._files is None or self._files.config is None):
+            raise ValueError(
+                f"begin={begin:g} is for the demand of a configuration (.sumocfg); that of {path} is drawn anew"
+            )
         self._polygons = polygons or (self._files.polygons if self._files else None)
-        self._options = (seed, density, share, vehicles, furnish, warm_up)
-        self._seed, self._density, self._share, self._least, self._furnish, self._warm_up = self._options
+        self._options = (seed, density, share, vehicles, furnish, warm_up, begin)
+        self._seed, self._density, self._share, self._least, self._furnish, self._warm_up, self._begin = self._options
         self._stem = self._drawn or Path(path).name.split(".")[0]
         self.name = f"sumo/{self._stem}"
         self._names = tuple(f"{self._stem}-{k:06d}" for k in range(scenes))
@@ -114,15 +137,17 @@ class LiveSumo:
         self._scenes: OrderedDict[int, Scene] = OrderedDict()
 
     def __getstate__(self) -> dict[str, Any]:
-        return {key: value for key, value in vars(self).items() if key not in ("_network", "_buildings")} | {
-            "_scenes": OrderedDict()
-        }
+        heavy = ("_network", "_buildings")
+        kept = {key: value for key, value in vars(self).items() if key not in heavy}
+        return kept | {"_scenes": OrderedDict()}
 
     def _digest(self, simulator: str) -> str:
         sha = hashlib.sha256(repr((VERSION, self._stem, self._options, lidar.DIGEST, simulator)).encode())
         for file in (*(self._files.every if self._files else ()), *filter(None, [self._polygons])):
             try:
-                sha.update(file.read_bytes())
+                with file.open("rb") as content:
+                    while block := content.read(_BLOCK):
+                        sha.update(block)
             except OSError as error:
                 raise BrokenData(file, f"cannot be read: {error.strerror}") from error
         return sha.hexdigest()
@@ -135,7 +160,8 @@ class LiveSumo:
         """The scene of that number, simulated now unless it was among the last eight; a second or two.
 
         Raises:
-            ValueError: no name of a scene, SUMO refuses, or there is no place with enough connected vehicles.
+            ValueError: no name of a scene, SUMO refuses, nothing drives, or there is no place with enough connected
+                vehicles.
         """
         found = re.fullmatch(re.escape(self._stem) + r"-(\d{6,})", name)
         if not found:
@@ -155,91 +181,132 @@ class LiveSumo:
     @cached_property
     def _network(self) -> Streets:
         assert self._files is not None
-        network = read_network(self._files.net, np.inf)
-        if not any(not lane.internal for lane in network.lanes):
-            raise BrokenData(self._files.net, "has no lane for cars")
-        return network
+        return read_network(self._files.net, np.inf)
+
+    @cached_property
+    def _departures(self) -> Float[np.ndarray, " M"]:
+        assert self._files is not None
+        until = self._files.end if np.isfinite(self._files.end) else self._files.begin + demand.DAY
+        return demand.departures(self._files.demand, until)
+
+    @cached_property
+    def _period(self) -> demand.Period:
+        """The hour that scenes are taken from."""
+        assert self._files is not None
+        if self._begin is not None:
+            return demand.within(self._departures, self._begin)
+        found = demand.busiest(self._departures, self._files.begin, self._files.end)
+        return found or demand.Period(self._files.begin, 0.0, 0.0)
 
     @cached_property
     def _buildings(self) -> Float[np.ndarray, "B 6"] | None:
         return None if self._polygons is None else config.buildings(self._polygons)
 
     def _make(self, name: str, number: int) -> Scene:
+        crowd, drove = 0, set[str]()
         for attempt in range(TRIES):
             rng = np.random.default_rng([self._seed, number, attempt])
-            with tempfile.TemporaryDirectory() as folder:
-                town, tracks = self._drive(Path(folder), rng)
-            for _ in range(1 if self._drawn else PLACES):
-                place = (town, tracks) if self._drawn else self._focus(town, tracks, rng)
-                scene = self._build_scene(name, *place, rng)
-                if scene is not None:
-                    return scene
+            ways: tuple[selection.Standing, ...] = ("never",) if attempt < STRICT else ("never", "last")
+            with (
+                tempfile.TemporaryDirectory() as folder,
+                closing(self._drive(Path(folder), rng)) as stretches,
+            ):
+                for town, tracks in stretches:
+                    crowd = max(crowd, int(np.isfinite(tracks.pose[..., 0]).sum(axis=1).max()))
+                    drove |= tracks.left_out
+                    for standing in ways:
+                        scene = self._place(name, town, tracks, rng, standing)
+                        if scene is not None:
+                            return scene
+            if crowd < self._least and attempt + 1 >= EMPTY:
+                raise ValueError(f"scene {name!r}: {self._too_few(crowd, drove)}")
         raise ValueError(
             f"scene {name!r}: in {TRIES} simulations no {self._least} connected vehicles stay within "
             f"{selection.RADIO:.0f} m of one of them for 20 s; raise density or share, or ask for fewer vehicles"
         )
 
-    def _drive(self, folder: Path, rng: np.random.Generator) -> tuple[Streets, Tracks]:
+    def _too_few(self, crowd: int, drove: set[str]) -> str:
+        """How many cars drive at once, why, and the way out."""
+        cars = (
+            f"at most {crowd} cars drive at once, and {self._least} are to be connected" if crowd else "no car drives"
+        )
+        if self._files is None or self._files.config is None:
+            return f"{cars}; raise density, or bring a configuration with a demand of its own"
+        others = f" ({', '.join(sorted(drove))} drive, and are left out)" if drove else ""
+        when = f"from {self._period.begin:g} s on {cars}{others}"
+        best = demand.busiest(self._departures, self._files.begin, self._files.end)
+        if best is None:
+            return f"{when}, and the files of {self._files.config.name} send no car"
+        other = f"begin={best.begin:g}, " if self._period.begin != best.begin else ""
+        return (
+            f"{when}; most cars of {self._files.config.name}, {best.departures:.0f}, depart in the hour from "
+            f"{best.begin:g} s: take {other}a higher density, or fewer vehicles"
+        )
+
+    def _drive(self, folder: Path, rng: np.random.Generator) -> Generator[tuple[Streets, Tracks], None, None]:
+        """Streets and the traffic on them, one stretch of it after another."""
         if self._drawn:
             town = build_streets(*draw_streets(self._drawn, rng), folder)
             crowd = round(self._density * int(rng.integers(*build.CROWD[self._drawn])))
-            return town, traffic.drive(town, folder, rng, crowd=crowd, warm_up=self._warm_up, seconds=SECONDS)
+            yield town, traffic.drive(town, folder, rng, crowd=crowd, warm_up=self._warm_up, seconds=SECONDS)
+            return
         assert self._files is not None
-        network = self._network
+        network, most = self._network, SECONDS
         command = ["--seed", str(int(rng.integers(1 << 30)))]
         if self._files.config:
+            most = LONGEST
+            late = rng.uniform(0, max(0.0, self._period.span - self._warm_up - SECONDS))
             command += ["-c", str(self._files.config), "--scale", str(self._density)]
+            command += ["--begin", f"{self._period.begin + late:.2f}", "--end", "-1"]
         else:
             if self._crowd(network) > CROWD:
-                network = _quarter(network, rng)
+                network = quarter(network, rng)
             crowd = self._crowd(network)
             sizes = draw_sizes(traffic.N_TYPES, rng, parked=False)
             routes = folder / "trips.rou.xml"
             config.write_demand(routes, network, sizes, rng, crowd, self._warm_up + SECONDS)
             command += ["-n", str(network.net), "-r", str(routes), "--max-num-vehicles", str(crowd)]
         warm_up = self._warm_up + rng.uniform(0, 30)
-        return network, traffic.watch(command, warm_up=warm_up, seconds=SECONDS, jump=JUMP)
+        with closing(traffic.stretches(command, warm_up=warm_up, seconds=SECONDS, most=most, jump=JUMP)) as stretches:
+            for tracks in stretches:
+                yield network, tracks
 
     def _crowd(self, network: Streets) -> int:
         return max(self._least, round(self._density * config.PER_KM * config.lane_kilometres(network)))
 
-    def _focus(self, network: Streets, tracks: Tracks, rng: np.random.Generator) -> tuple[Streets, Tracks]:
-        """What lies round one vehicle, drawn at random: a city is too much to search for a scene."""
-        spots = tracks.pose[::25, :, :2][np.isfinite(tracks.pose[::25, :, 0])]
-        spots = spots[np.linalg.norm(spots - network.centre, axis=1) <= network.radius]
-        if not len(spots):
-            return network, tracks
-        centre = spots[rng.integers(len(spots))]
-        far = np.linalg.norm(tracks.pose[..., :2] - centre, axis=-1)
-        near = np.flatnonzero((far < AROUND).any(axis=0))
-        box = (*(centre - AROUND), *(centre + AROUND))
-        lanes = [lane for lane in network.lanes if (np.abs(lane.shape - centre) < AROUND).all(axis=1).any()]
-        junctions = network.junctions[(np.abs(network.junctions[:, :2] - centre) < AROUND).all(axis=1)]
-        carriageway = shapely.clip_by_rect(network.carriageway, *box)
-        radius = AROUND - build.REACH - 10
-        town = replace(network, lanes=lanes, junctions=junctions, carriageway=carriageway, centre=centre, radius=radius)
-        return town, Tracks(tracks.pose[:, near], tracks.size[near])
+    def _place(
+        self, name: str, town: Streets, tracks: Tracks, rng: np.random.Generator, standing: selection.Standing
+    ) -> Scene | None:
+        """A scene somewhere in this stretch of traffic, if enough vehicles with a radio meet."""
+        radio = rng.random(len(tracks.size)) < self._share
+        if self._drawn:
+            return self._build_scene(name, town, tracks, np.flatnonzero(radio), rng, standing)
+        listening = Tracks(tracks.pose[:, radio], tracks.size[radio])
+        spots = meetings(listening, self._least, moving=standing == "never")
+        spots = spots[np.linalg.norm(spots[:, :2] - town.centre, axis=1) <= town.radius]
+        for spot in spots[rng.permutation(len(spots))[:PLACES]]:
+            around, near = focus(town, tracks, spot)
+            closer = Tracks(tracks.pose[:, near], tracks.size[near])
+            scene = self._build_scene(name, around, closer, np.flatnonzero(radio[near]), rng, standing)
+            if scene is not None:
+                return scene
+        return None
 
-    def _build_scene(self, name: str, town: Streets, tracks: Tracks, rng: np.random.Generator) -> Scene | None:
-        radios = np.flatnonzero(rng.random(len(tracks.size)) < self._share)
+    def _build_scene(
+        self,
+        name: str,
+        town: Streets,
+        tracks: Tracks,
+        radios: Int[np.ndarray, " R"],
+        rng: np.random.Generator,
+        standing: selection.Standing,
+    ) -> Scene | None:
         listening = Tracks(tracks.pose[:, radios], tracks.size[radios])
         kind = self._drawn or self._furnish
         buildings = np.zeros((0, 6)) if self._buildings is None and kind == "none" else self._buildings
-        for selected in selection.candidates(listening, town, rng, SELECTIONS, least=self._least):
+        for selected in selection.candidates(listening, town, rng, SELECTIONS, least=self._least, standing=standing):
             chosen = replace(selected, connected=radios[selected.connected])
             scene = build.build_scene(name, kind, town, tracks, chosen, rng, buildings)
             if scene is not None:
                 return scene
         return None
-
-
-def _quarter(network: Streets, rng: np.random.Generator) -> Streets:
-    """What lies within `DRIVEN` of a street drawn at random: vehicles farther off are never seen by a scene there."""
-    streets = [lane for lane in network.lanes if not lane.internal]
-    length = np.array([np.linalg.norm(np.diff(lane.shape, axis=0), axis=1).sum() for lane in streets])
-    centre = streets[rng.choice(len(streets), p=length / length.sum())].shape.mean(axis=0)
-    lanes = [lane for lane in network.lanes if (np.linalg.norm(lane.shape - centre, axis=1) < DRIVEN).all()]
-    edges = {lane.edge for lane in lanes if not lane.internal}
-    sources, sinks = ([edge for edge in ends if edge in edges] for ends in (network.sources, network.sinks))
-    radius = DRIVEN - AROUND
-    return replace(network, lanes=lanes, sources=sources, sinks=sinks, centre=centre, radius=radius)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gzip
 import subprocess
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass, field
@@ -13,9 +12,27 @@ import shapely
 from jaxtyping import Float, Int
 from shapely.geometry import LineString, Polygon
 
+from cp_env.scenes.errors import BrokenData
+from cp_env.scenes.sumo.xml_files import parse
+
 STUB = 100.0  # m: the streets that lead out of a network, where traffic enters and leaves
 LANE_WIDTH = 3.2  # m
 SPEED = 7.5  # m/s: the limit; a 30 km/h zone driven with some care
+
+NO_CARS = frozenset({
+    "pedestrian", "wheelchair", "bicycle", "scooter", "moped", "motorcycle", "tram", "rail_urban", "rail",
+    "rail_electric", "rail_fast", "subway", "cable_car", "ship", "container", "drone", "aircraft",
+})  # fmt: skip
+"""SUMO's classes that are no road vehicle of four wheels or more."""
+
+ROAD = frozenset({
+    "passenger", "private", "emergency", "authority", "army", "vip", "hov", "taxi", "bus", "coach", "delivery", "truck",
+    "trailer", "evehicle", "custom1", "custom2",
+})  # fmt: skip
+"""SUMO's classes of road vehicles of four wheels or more."""
+
+RAILS = frozenset({"tram", "rail_urban", "rail", "rail_electric", "rail_fast"})
+"""SUMO's classes whose tracks lie on the ground: nothing is built on them."""
 
 NEEDS_SUMO = "new traffic needs SUMO; install this package with its extra: pip install '.[sumo]'"
 
@@ -43,13 +60,14 @@ class Plan:
 
 @dataclass(frozen=True)
 class Lane:
-    """One lane of a street or of a junction."""
+    """One lane for road vehicles, of a street or of a junction."""
 
     edge: str
-    index: int  # 0 is the rightmost for cars
+    index: int  # 0 is the outermost for them: the rightmost, or the leftmost where one drives on the left
     shape: Float[np.ndarray, "P 2"]
     width: float
     internal: bool  # inside a junction
+    cars: bool = True  # whether cars may use it; others are for buses and the like
 
 
 @dataclass(frozen=True)
@@ -58,12 +76,13 @@ class Streets:
 
     net: Path
     lanes: list[Lane]
-    carriageway: shapely.Geometry  # the union of lanes and junctions
+    carriageway: shapely.Geometry  # the union of lanes, rails and junctions
     junctions: Float[np.ndarray, "J 3"]  # x, y, 1 if signalised
     sources: list[str]
     sinks: list[str]
     centre: Float[np.ndarray, " 2"]
     radius: float  # m: the ego stays this near the centre, so that entering traffic does not pop up next to it
+    lefthand: bool = False  # whether one drives on the left
 
 
 def draw_streets(kind: str, rng: np.random.Generator) -> tuple[Plan, float]:
@@ -173,30 +192,34 @@ def build_streets(plan: Plan, radius: float, folder: Path) -> Streets:
 
 
 def read_network(net: Path, radius: float) -> Streets:
-    """The streets of a network that cars may use, plain or packed by gzip, centred on its origin.
+    """The streets of a network that road vehicles may use, centred on its origin.
+
+    Args:
+        net: a `.net.xml`; packed by gzip if its name ends in `.gz`.
+        radius: m, of the part that is of use.
+
+    Returns:
+        The streets; `lefthand` as the network says.
 
     Raises:
-        OSError, ET.ParseError: the file cannot be read.
+        BrokenData: the file is missing or no XML, a lane or a junction is none, or no lane is for cars.
     """
-    with gzip.open(net) if net.suffix == ".gz" else net.open("rb") as file:
-        root = ET.parse(file).getroot()
-    lanes = []
-    for edge in root.iter("edge"):
-        if edge.get("function") in (None, "internal"):
-            internal = edge.get("function") is not None
-            for index, lane in enumerate(lane for lane in edge.iter("lane") if _for_cars(lane)):
-                width = float(lane.get("width", LANE_WIDTH))
-                lanes.append(Lane(edge.get("id", ""), index, _points(lane), width, internal))
-    areas = [LineString(lane.shape).buffer(lane.width / 2, cap_style="flat") for lane in lanes]
+    root = parse(net)
+    lanes = [lane for edge in root.iter("edge") for lane in _lanes(net, edge)]
+    if not any(lane.cars and not lane.internal for lane in lanes):
+        raise BrokenData(net, f"has no lane for cars{_who_else(root)}")
+    tracks = [lane for edge in root.iter("edge") for lane in _lanes(net, edge, RAILS)]
+    areas = [LineString(lane.shape).buffer(lane.width / 2, cap_style="flat") for lane in (*lanes, *tracks)]
     spots = []
     for junction in root.iter("junction"):
         if junction.get("type") not in ("internal", "dead_end"):
             signal = junction.get("type", "").startswith("traffic_light")
-            spots.append((float(junction.get("x", 0)), float(junction.get("y", 0)), float(signal)))
-        if len(junction.get("shape", "").split()) > 2:
-            areas.append(Polygon(_points(junction)).buffer(0))
+            spots.append((*(_number(net, junction, key, 0.0) for key in "xy"), float(signal)))
+        shape = _points(net, junction)
+        if len(shape) > 2:
+            areas.append(Polygon(shape).buffer(0))
     ends = {j.get("id") for j in root.iter("junction") if j.get("type") == "dead_end"}
-    open_to_cars = {lane.edge for lane in lanes if not lane.internal}
+    open_to_cars = {lane.edge for lane in lanes if lane.cars and not lane.internal}
     edges = [edge for edge in root.iter("edge") if edge.get("id") in open_to_cars]
     return Streets(
         net=net,
@@ -207,17 +230,61 @@ def read_network(net: Path, radius: float) -> Streets:
         sinks=[edge.get("id", "") for edge in edges if edge.get("to") in ends],
         centre=np.zeros(2),
         radius=radius,
+        lefthand=root.get("lefthand", "").strip().lower() in ("true", "1", "yes", "on", "x", "t"),
     )
 
 
-def _for_cars(lane: ET.Element) -> bool:
+def _lanes(net: Path, edge: ET.Element, classes: frozenset[str] = ROAD) -> list[Lane]:
+    """Those for any of the classes, of a street or inside a junction; the outermost first."""
+    if edge.get("function") not in (None, "normal", "internal"):  # connectors, crossings, walking areas
+        return []
+    lanes = []
+    for index, lane in enumerate(lane for lane in edge.iter("lane") if _open_to(lane, classes)):
+        shape, width = _points(net, lane), _number(net, lane, "width", LANE_WIDTH)
+        if len(shape) < 2 or width <= 0:
+            raise BrokenData(net, f"lane {lane.get('id')!r} has {len(shape)} points and is {width} m wide")
+        internal, cars = edge.get("function") == "internal", _open_to(lane, frozenset({"passenger"}))
+        lanes.append(Lane(edge.get("id", ""), index, shape, width, internal, cars))
+    return lanes
+
+
+def _who_else(root: ET.Element) -> str:
+    """Whom the lanes of a network without cars are for, in words."""
+    streets = [edge for edge in root.iter("edge") if edge.get("function") in (None, "normal")]
+    allowed = {name for edge in streets for lane in edge.iter("lane") for name in lane.get("allow", "").split()}
+    return f"; its lanes are for {', '.join(sorted(allowed))}" if allowed else ""
+
+
+def _open_to(lane: ET.Element, classes: frozenset[str]) -> bool:
+    """Whether one of the classes may use it."""
     if "allow" in lane.attrib:
-        return bool({"passenger", "all"} & set(lane.attrib["allow"].split()))
-    return not {"passenger", "all"} & set(lane.get("disallow", "").split())
+        allowed = set(lane.attrib["allow"].split())
+        return "all" in allowed or bool(classes & allowed)
+    forbidden = set(lane.get("disallow", "").split())
+    return "all" not in forbidden and bool(classes - forbidden)
 
 
-def _points(element: ET.Element) -> Float[np.ndarray, "P 2"]:
-    return np.array([[float(v) for v in point.split(",")[:2]] for point in element.get("shape", "").split()])
+def _points(net: Path, element: ET.Element) -> Float[np.ndarray, "P 2"]:
+    text = element.get("shape", "").split()
+    try:
+        points = np.array([[float(v) for v in point.split(",")[:2]] for point in text]).reshape(len(text), 2)
+    except ValueError as error:
+        raise BrokenData(
+            net, f"{element.tag} {element.get('id')!r}: its shape is no list of points: {error}"
+        ) from error
+    if not np.isfinite(points).all():
+        raise BrokenData(net, f"{element.tag} {element.get('id')!r}: a point of its shape is not finite")
+    return points
+
+
+def _number(net: Path, element: ET.Element, key: str, default: float) -> float:
+    try:
+        number = float(element.get(key, default))
+    except ValueError:
+        number = np.nan
+    if not np.isfinite(number):
+        raise BrokenData(net, f"{element.tag} {element.get('id')!r}: {key}={element.get(key)!r} is no number")
+    return number
 
 
 def _tool(name: str) -> Path:

@@ -1,8 +1,9 @@
 """What stands along the streets: parked rows, house fronts, garden walls, hedges and trunks; and the road-side unit.
 
 Convention:
-    All boxes are in the network's frame. A kerb is walked along the right edge of a street's rightmost lane; "out" is
-    the distance from that edge away from the road.
+    All boxes are in the network's frame. A kerb is walked along the outer edge of a street's outermost lane, with the
+    traffic: the right edge, or the left one in a left-hand network. "out" is the distance from that edge away from the
+    road. A left-hand network is furnished as the mirror image of a right-hand one.
 """
 
 from __future__ import annotations
@@ -52,12 +53,13 @@ STYLES = {
 
 @dataclass(frozen=True)
 class Kerb:
-    """One right edge of a street between two junctions."""
+    """One outer edge of a street between two junctions."""
 
     points: Float[np.ndarray, "P 2"]
     reached: Float[np.ndarray, " P"]  # m along the kerb at each point
     depth: float  # m: of the parked row
     across: bool
+    side: int = 1  # 1 on the right of the traffic, -1 on its left
 
     @property
     def length(self) -> float:
@@ -67,7 +69,8 @@ class Kerb:
         """The pose `along` metres from its start and `out` metres from the road, heading with the traffic."""
         tail, here, head = (self._point(along + step) for step in (-0.5, 0.0, 0.5))
         yaw = np.arctan2(head[1] - tail[1], head[0] - tail[0])
-        return np.array([here[0] + out * np.sin(yaw), here[1] - out * np.cos(yaw), yaw])
+        away = self.side * out
+        return np.array([here[0] + away * np.sin(yaw), here[1] - away * np.cos(yaw), yaw])
 
     def _point(self, along: float) -> Float[np.ndarray, " 2"]:
         """Beyond its ends the kerb goes straight on."""
@@ -153,15 +156,16 @@ def _settle(shapes: np.ndarray, free: Bool[np.ndarray, " B"], distance: float) -
 
 def _kerbs(streets: Streets, style: Style, area: shapely.Geometry, rng: np.random.Generator) -> list[Kerb]:
     kerbs = []
+    side = -1 if streets.lefthand else 1
     for lane in streets.lanes:
         across = bool(rng.random() < style.bays)
         if lane.internal or lane.index or not area.intersects(LineString(lane.shape)):
             continue
-        line = LineString(lane.shape).offset_curve(-lane.width / 2)
+        line = LineString(lane.shape).offset_curve(-side * lane.width / 2)
         if line.length > 12 and line.geom_type == "LineString":
             points = shapely.get_coordinates(line)
             reached = np.concatenate([[0.0], np.linalg.norm(np.diff(points, axis=0), axis=1).cumsum()])
-            kerbs.append(Kerb(points, reached, BAY if across else STRIP, across))
+            kerbs.append(Kerb(points, reached, BAY if across else STRIP, across, side))
     return kerbs
 
 
@@ -183,11 +187,11 @@ def _parked(kerb: Kerb, style: Style, rng: np.random.Generator) -> Iterator[np.n
             half = (length if kerb.across else width) / 2
             out = half + 0.35 + rng.normal(0, 0.07)
             pose = kerb.at(along + room / 2, out)
-            pose[2] += turn + rng.normal(0, 0.02)
+            pose[2] += kerb.side * (turn + rng.normal(0, 0.02))
         elif gate and length < LONGEST_ACROSS and rng.random() < style.drives:
             out = kerb.depth + PAVEMENT + length / 2 + rng.uniform(0.3, 2.0)
             pose = kerb.at(along + gate / 2, out)
-            pose[2] += np.pi / 2 + rng.normal(0, 0.03)
+            pose[2] += kerb.side * (np.pi / 2 + rng.normal(0, 0.03))
         along += gate or room
         if pose is not None:
             yield np.array([*pose, length, width, height])
@@ -224,12 +228,16 @@ def _trunks(kerb: Kerb, style: Style, rng: np.random.Generator) -> Iterator[np.n
 
 def place_rsu(
     streets: Streets, layout: Layout, path: Float[np.ndarray, "T 2"], rng: np.random.Generator
-) -> Float[np.ndarray, " 3"]:
-    """A pole at the corner of the junction nearest to the ego's path (a signalised one if it is about as near)."""
+) -> Float[np.ndarray, " 3"] | None:
+    """A pole at the corner of the junction nearest to the ego's path (a signalised one if it is about as near).
+
+    Returns:
+        x, y, z of its top, m; None where everything round the junction is built over.
+    """
     distance = np.linalg.norm(path[:, None] - streets.junctions[None, :, :2], axis=-1).mean(axis=0)
     spot = streets.junctions[np.argmin(distance - 10 * streets.junctions[:, 2]), :2]
     ring = shapely.get_coordinates(shapely.segmentize(streets.carriageway.buffer(1.0).boundary, 1.0))
     ring = ring[np.argsort(np.linalg.norm(ring - spot, axis=1))[:400]]
     solid = np.concatenate([footprints(np.column_stack([layout.pose, layout.size])), footprints(layout.obstacles)])
     clear = ~_near(shapely.points(ring), solid, 0.3)
-    return np.array([*ring[clear][0], rng.uniform(5.6, 6.6)])
+    return np.array([*ring[clear][0], rng.uniform(5.6, 6.6)]) if clear.any() else None

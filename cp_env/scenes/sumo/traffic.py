@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import threading
 import xml.etree.ElementTree as ET
-from dataclasses import dataclass
+from collections.abc import Generator
+from contextlib import closing
+from dataclasses import dataclass, replace
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -15,22 +17,17 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from cp_env.scenes.sumo.network import NEEDS_SUMO, Streets
+from cp_env.scenes.sumo.network import NEEDS_SUMO, NO_CARS, Streets
 from cp_env.scenes.sumo.vehicle_sizes import draw_sizes
 
 DT = 0.2  # s: 5 Hz
 AXLE = 0.8  # of its length lies a vehicle's rear axle behind its front bumper
 JUMP = 4.0  # m a frame: nobody drives that fast here
 N_TYPES = 60  # vehicles of one type are twins; a scene shows some dozens
-NO_CARS = frozenset({
-    "pedestrian", "wheelchair", "bicycle", "scooter", "moped", "motorcycle", "tram", "rail_urban", "rail",
-    "rail_electric", "rail_fast", "subway", "cable_car", "ship", "container", "drone", "aircraft",
-})  # fmt: skip
-"""SUMO's classes that are no road vehicle of four wheels or more."""
 
 _ALWAYS = [
     "--step-length", str(DT), "--time-to-teleport", "60", "--collision.action", "none",
-    "--no-step-log", "--no-warnings", "--ignore-route-errors",
+    "--no-step-log", "--no-warnings", "--ignore-route-errors", "--remote-port", "0",
 ]  # fmt: skip
 _ONE_AT_A_TIME = threading.Lock()
 
@@ -41,6 +38,7 @@ class Tracks:
 
     pose: Float[np.ndarray, "T V 3"]
     size: Float[np.ndarray, "V 3"]
+    left_out: frozenset[str] = frozenset()  # SUMO's classes that drove too and are no cars
 
 
 def drive(
@@ -65,44 +63,87 @@ def drive(
 
 
 def watch(command: list[str], *, warm_up: float, seconds: float, jump: float = JUMP) -> Tracks:
-    """Run `sumo` by `command` at 5 Hz; all cars, vans, lorries and buses of the last `seconds` s.
+    """The first of the `stretches` of `command`."""
+    with closing(stretches(command, warm_up=warm_up, seconds=seconds, most=seconds, jump=jump)) as found:
+        return next(found)
 
-    libsumo holds one simulation a process: this one begins and ends here, and waits for one in another thread.
+
+def stretches(
+    command: list[str], *, warm_up: float, seconds: float, most: float, jump: float = JUMP
+) -> Generator[Tracks, None, None]:
+    """Run `sumo` by `command` at 5 Hz; all cars, vans, lorries and buses of one stretch of the drive after another.
+
+    libsumo holds one simulation a process: this one ends when the generator is closed, and waits for one in another
+    thread.
 
     Args:
+        command: arguments of `sumo`.
+        warm_up: s simulated before the first stretch.
+        seconds: s of each stretch.
+        most: s of all stretches; they end earlier where nothing drives or is to come.
         jump: a vehicle that moves farther in a frame, m, was moved by SUMO itself, and goes on as another one.
+
+    Yields:
+        The tracks of the next stretch.
 
     Raises:
         ImportError: SUMO is not installed.
         ValueError: SUMO refuses the command; the message says why, as far as SUMO does.
     """
     sumo = _simulator()
-    kinds: dict[str, int] = {}
-    sizes: list[tuple[float, float, float]] = []
-    frames: list[dict[str, tuple[float, float, float, str]]] = []
+    census = _Census(sumo)
     with _ONE_AT_A_TIME:
         try:
             sumo.start(["sumo", *command, *_ALWAYS])
-            for step in range(round((warm_up + seconds) / DT)):
+            for _ in range(round(warm_up / DT)):
                 sumo.simulationStep()
-                frame = {}
-                for name in sumo.vehicle.getIDList() if step >= round(warm_up / DT) else ():
-                    kind = sumo.vehicle.getTypeID(name)
-                    if kind not in kinds:
-                        measure = sumo.vehicletype
-                        kinds[kind] = -1 if measure.getVehicleClass(kind) in NO_CARS else len(sizes)
-                        if kinds[kind] >= 0:
-                            sizes.append((measure.getLength(kind), measure.getWidth(kind), measure.getHeight(kind)))
-                    if kinds[kind] >= 0:
-                        place, angle = sumo.vehicle.getPosition(name), sumo.vehicle.getAngle(name)
-                        frame[name] = (*place, angle, str(kinds[kind]))
-                if step >= round(warm_up / DT):
-                    frames.append(frame)
+            for _ in range(round(most / seconds)):
+                frames = []
+                for _ in range(round(seconds / DT)):
+                    sumo.simulationStep()
+                    frames.append(census.frame())
+                yield replace(_tracks(frames, census.measures(), jump), left_out=frozenset(census.left_out))
+                if not sumo.simulation.getMinExpectedNumber():
+                    return
         except (sumo.TraCIException, sumo.FatalTraCIError) as error:
-            raise ValueError(f"SUMO refused `sumo {' '.join(command)}`: {error}") from error
+            raise ValueError(
+                f"SUMO refused `sumo {' '.join(command)}`: {error} (more stands on the standard error stream)"
+            ) from error
         finally:
             sumo.close()
-    return _tracks(frames, np.array(sizes).reshape(-1, 3), jump)
+
+
+class _Census:
+    """The road vehicles of a simulation, step by step."""
+
+    def __init__(self, sumo: Any) -> None:
+        self._sumo = sumo
+        self._kinds: dict[str, int] = {}  # row of `_sizes`, or -1, of each vehicle type met
+        self._sizes: list[tuple[float, float, float]] = []
+        self.left_out: set[str] = set()
+
+    def measures(self) -> Float[np.ndarray, "K 3"]:
+        """Length, width, height of the types met."""
+        return np.array(self._sizes).reshape(-1, 3)
+
+    def frame(self) -> dict[str, tuple[float, float, float, str]]:
+        """x, y of the front bumper, angle and type of everyone who drives now."""
+        sumo, frame = self._sumo, {}
+        for name in sumo.vehicle.getIDList():
+            kind = sumo.vehicle.getTypeID(name)
+            if kind not in self._kinds:
+                self._kinds[kind] = self._measured(kind)
+            if self._kinds[kind] >= 0:
+                frame[name] = (*sumo.vehicle.getPosition(name), sumo.vehicle.getAngle(name), str(self._kinds[kind]))
+        return frame
+
+    def _measured(self, kind: str) -> int:
+        measure = self._sumo.vehicletype
+        if measure.getVehicleClass(kind) in NO_CARS:
+            self.left_out.add(measure.getVehicleClass(kind))
+            return -1
+        self._sizes.append((measure.getLength(kind), measure.getWidth(kind), measure.getHeight(kind)))
+        return len(self._sizes) - 1
 
 
 def _write_trips(

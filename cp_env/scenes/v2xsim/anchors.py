@@ -5,8 +5,13 @@ Source: the public coperception code (`Config.py`, `obj_util.py`), read for its 
 Convention:
     voxel    (ix, iy, iz); the point is its middle in the sensor's frame. The lowest slice begins at a whole multiple of
              its height at or below the extent's floor: -3 m becomes -3.2 m.
-    anchor   cell (i, j) of the target maps is centred at x = x(j), y = y(i); six anchors of (width, length, φ) a cell.
-    code     ((xa - x) / w, (ya - y) / l, ln(wa / w), ln(la / l), sin(φ - φa), cos(φ - φa)), where φ = π/2 - yaw.
+    target   lies in the sensor's frame mirrored, u = -x, v = y: the preprocessing negates x of the boxes, and the data
+             set turns the voxels to match when it loads them. The files hold the voxels unmirrored.
+    anchor   cell (i, j) of the target maps is centred at u = u(j), v = v(i); six anchors of (width, length, φ) a cell.
+    code     ((ua - u) / w, (va - v) / l, ln(wa / w), ln(la / l), sin(φ - φa), cos(φ - φa)), where φ = yaw + π/2: angles
+             of the mirrored frame turn clockwise.
+    A car of 2 × 4 m at (12, 5), yaw 0.4, is (u, v) = (-12, 5), φ = 1.97: in cell (147, 79), whose middle is
+    (-12.125, 4.875), its first anchor (2, 4, 0) gets the code (-0.0625, -0.03125, 0, 0, 0.92106, -0.38942).
 """
 
 from __future__ import annotations
@@ -49,15 +54,17 @@ def decode(
     """
     i, j, k = np.nonzero(allocated)
     width, length = (ANCHORS[k, side] / np.exp(targets[:, 2 + side]) for side in (0, 1))
-    x = (j + 0.5) * CELL - EXTENT - width * targets[:, 0]
+    x = width * targets[:, 0] - ((j + 0.5) * CELL - EXTENT)  # of the frame that is not mirrored
     y = (i + 0.5) * CELL - EXTENT - length * targets[:, 1]
-    yaw = math.pi / 2 - ANCHORS[k, 2] - np.arctan2(targets[:, 4], targets[:, 5])
+    yaw = ANCHORS[k, 2] + np.arctan2(targets[:, 4], targets[:, 5]) - math.pi / 2
     boxes = np.stack([x, y, length - _TINY, width - _TINY, (yaw + math.pi) % (2 * math.pi) - math.pi], axis=1)
     return distinct(boxes[labels > 0])
 
 
 def distinct(boxes: Float[np.ndarray, "N 5"]) -> Float[np.ndarray, "L 5"]:
     """Each box once: of those whose centres are less than `SAME` m apart the first."""
+    if not len(boxes):
+        return boxes
     _, first = np.unique(np.round(boxes[:, :2], 3), axis=0, return_index=True)  # makes the square below small
     boxes = boxes[np.sort(first)]
     close = np.hypot(*(boxes[:, None, :2] - boxes[None, :, :2]).T) < SAME

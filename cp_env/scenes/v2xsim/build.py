@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from cp_env.geometry import spatial
 from cp_env.scenes.town import KINDS
 from cp_env.scenes.v2xsim.index import Index, Rows
+from cp_env.scenes.v2xsim.tilt import foot
 from cp_env.types import Scene
 
 RSU = 0  # the road-side unit is LIDAR_TOP_id_0
 STRAY = 2.5  # m; an annotated box this close under a LiDAR is its carrier's
 BARE = (4.7, 2.0, 1.6)  # length, width, height of a carrier that is not annotated; m
+UNLISTED = "not annotated"  # the class of such a carrier
 AROUND = 40.0  # m; boxes this close show where the ground under a road-side unit is
 
 
@@ -31,6 +32,8 @@ class FrameSequence:
     origin: dict[int, Float[np.ndarray, "T 3"]]  # of each agent's sweeps; world x, y and height above ground
     ground: Float[np.ndarray, "T K"]  # world z of the ground under each sensor
     boxes: Float[np.ndarray, "T M 7"]  # of the scene's vehicles, as in `Rows.box`
+    tilt: Float[np.ndarray, "T M 2"]  # roll and pitch of those boxes; rad
+    classes: tuple[str, ...]  # of the scene's vehicles: their categories' names
 
 
 def present(rows: Rows) -> Int[np.ndarray, " A"]:
@@ -45,14 +48,17 @@ def build(index: Index, place: int, categories: tuple[str, ...], rsu: bool) -> F
     """A scene of an index."""
     rows, entry = index.rows(place), index.entries[place]
     agents = present(rows).tolist()
-    tracks, wanted = _tracks(rows, [name.startswith(categories) for name in index.categories])
+    tracks, category = _tracks(rows)
     carriers = [_carrier(tracks, rows.world_T_sensor[:, agent, :, 3]) for agent in agents]
     boxes = np.concatenate([tracks, *(_bare(rows, agent) for agent in agents)], axis=1)
     row = [len(tracks[0]) + k if carrier is None else carrier for k, carrier in enumerate(carriers)]
-    keep = np.union1d(np.flatnonzero(wanted), row)
-    boxes, connected = boxes[:, keep], np.searchsorted(keep, row)
+    names = [*(index.categories[number] for number in category), *[UNLISTED] * len(agents)]
+    wanted = np.flatnonzero([name.startswith(categories) for name in names[: len(category)]])
+    keep = np.union1d(wanted.astype(np.int64), row)
+    boxes, tilt = np.split(boxes[:, keep], [7], axis=2)
+    connected = np.searchsorted(keep, row)
     carrier = dict(zip(agents, connected.tolist(), strict=True))
-    ground = _ground(rows, boxes, carrier)
+    ground = _ground(rows, foot(boxes, tilt), boxes, carrier)
     height = rows.world_T_sensor[..., 2, 3] - ground
     origin = {
         agent: np.concatenate([boxes[:, own, :2], height[:, agent, None]], axis=1) for agent, own in carrier.items()
@@ -73,18 +79,19 @@ def build(index: Index, place: int, categories: tuple[str, ...], rsu: bool) -> F
     )
     for array in (scene.pose, scene.size, scene.connected, scene.obstacles):
         array.flags.writeable = False  # it is shared by all who load it
-    return FrameSequence(scene, rows, tuple(origin), carrier, origin, ground, boxes)
+    classes = tuple(names[number] for number in keep)
+    return FrameSequence(scene, rows, tuple(origin), carrier, origin, ground, boxes, tilt, classes)
 
 
-def _tracks(rows: Rows, wanted: Sequence[bool]) -> tuple[Float[np.ndarray, "T I 7"], Bool[np.ndarray, " I"]]:
-    """The box of each instance in each frame (NaN where absent), and which instances are of a wanted category."""
+def _tracks(rows: Rows) -> tuple[Float[np.ndarray, "T I 9"], Int[np.ndarray, " I"]]:
+    """The box, roll and pitch of each instance in each frame (NaN where absent), and each instance's category."""
     ids, first, column = np.unique(rows.instance, return_index=True, return_inverse=True)
-    tracks = np.full((len(rows.time), len(ids), 7), np.nan)
-    tracks[rows.frame, column] = rows.box
-    return tracks, np.array(wanted, dtype=bool)[rows.category[first]]
+    tracks = np.full((len(rows.time), len(ids), 9), np.nan)
+    tracks[rows.frame, column] = np.concatenate([rows.box, rows.tilt], axis=1)
+    return tracks, rows.category[first]
 
 
-def _carrier(tracks: Float[np.ndarray, "T I 7"], sensor: Float[np.ndarray, "T 3"]) -> int | None:
+def _carrier(tracks: Float[np.ndarray, "T I 9"], sensor: Float[np.ndarray, "T 3"]) -> int | None:
     """The instance that stays under a sensor in all frames, if there is one."""
     away = np.hypot(*np.moveaxis(tracks[..., :2] - sensor[:, None, :2], -1, 0)).max(axis=0, initial=0)
     if not (away < STRAY).any():  # a NaN, absent in some frame, compares false
@@ -92,24 +99,28 @@ def _carrier(tracks: Float[np.ndarray, "T I 7"], sensor: Float[np.ndarray, "T 3"
     return int(np.nanargmin(away))
 
 
-def _bare(rows: Rows, agent: int) -> Float[np.ndarray, "T 1 7"]:
-    """A box for a carrier that is not annotated: of a usual size, under its sensor, standing on its ego pose."""
+def _bare(rows: Rows, agent: int) -> Float[np.ndarray, "T 1 9"]:
+    """An upright box for a carrier that is not annotated: of a usual size, under its sensor, on its ego pose."""
     world_T_sensor = rows.world_T_sensor[:, agent]
     place = world_T_sensor[:, :2, 3]
-    foot = rows.base[:, agent, None]
-    size = np.broadcast_to(BARE, (len(foot), 3))
+    base = rows.base[:, agent, None]
+    size = np.broadcast_to(BARE, (len(base), 3))
     yaw = spatial.heading(world_T_sensor)[:, None]
-    return np.concatenate([place, foot + BARE[2] / 2, size, yaw], axis=1)[:, None]
+    return np.concatenate([place, base + BARE[2] / 2, size, yaw, np.zeros((len(base), 2))], axis=1)[:, None]
 
 
-def _ground(rows: Rows, boxes: Float[np.ndarray, "T M 7"], carrier: dict[int, int]) -> Float[np.ndarray, "T K"]:
+def _ground(
+    rows: Rows,
+    feet: Float[np.ndarray, "T M"],
+    boxes: Float[np.ndarray, "T M 7"],
+    carrier: dict[int, int],
+) -> Float[np.ndarray, "T K"]:
     """World z of the ground under each sensor."""
-    foot = boxes[..., 2] - boxes[..., 5] / 2
     ground = rows.base.copy()
     for agent, row in carrier.items():
-        ground[:, agent] = foot[:, row]
+        ground[:, agent] = feet[:, row]
     mast = rows.world_T_sensor[0, RSU, :2, 3]
     near = np.hypot(*np.moveaxis(boxes[..., :2] - mast, -1, 0)) < AROUND
     if near.any():
-        ground[:, RSU] = np.median(foot[near])
+        ground[:, RSU] = np.median(feet[near])
     return ground

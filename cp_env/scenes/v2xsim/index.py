@@ -22,9 +22,10 @@ from jaxtyping import Float, Int
 
 from cp_env.geometry import spatial
 from cp_env.scenes.errors import BrokenData
+from cp_env.scenes.v2xsim import tilt
 from cp_env.scenes.v2xsim.tables import TABLES, Tables
 
-VERSION = 2
+VERSION = 3
 _CHANNEL = re.compile(r"LIDAR_TOP_id_(\d+)")
 _NAME = re.compile(r"[\w-][\w.-]*")
 
@@ -50,6 +51,7 @@ class Rows:
     instance: Int[np.ndarray, " B"]
     category: Int[np.ndarray, " B"]  # number in `Index.categories`
     box: Float[np.ndarray, "B 7"]  # x, y, z of the middle, length, width, height, yaw; world
+    tilt: Float[np.ndarray, "B 2"]  # roll, pitch of each box, as in `tilt`; rad
 
 
 @dataclass(frozen=True)
@@ -254,7 +256,7 @@ class _Builder:
                 self._fault(scene, "sample_annotation", f"a record refers to instance {instance!r}, which is not there")
                 continue
             try:
-                numbers = _numbers(middle, 3) + _numbers(size, 3) + _numbers(turn, 4)
+                numbers = _numbers(middle, 3) + _numbers(size, 3) + _unit(turn)
                 if min(numbers[3:6]) <= 0:
                     raise ValueError(f"size {size} is not positive")
             except (ValueError, TypeError) as error:
@@ -276,7 +278,7 @@ class _Builder:
             frame = met[times.argmax(), 0]
             self._fault(scene, "sample_annotation", f"two boxes of one instance in frame {frame}")
             return
-        yaw = spatial.heading(spatial.rotation(box[:, 6:]))
+        yaw, *tilts = tilt.attitude(spatial.rotation(box[:, 6:])).T
         np.savez(
             self.out / f"{scene}.npz",
             time=np.array(self.times[scene]),
@@ -287,15 +289,20 @@ class _Builder:
             instance=where[:, 2],
             category=where[:, 3],
             box=np.concatenate([box[:, :3], box[:, [4, 3, 5]], yaw[:, None]], axis=1),  # the tables have width first
+            tilt=np.stack(tilts, axis=1),
         )
 
 
 def _motion(shift: Any, turn: Any) -> Float[np.ndarray, "3 4"]:
-    quaternion = np.array(_numbers(turn, 4))
+    return spatial.motion(np.array(_unit(turn)), np.array(_numbers(shift, 3)))
+
+
+def _unit(turn: Any) -> list[float]:
+    quaternion = _numbers(turn, 4)
     norm = float(np.linalg.norm(quaternion))
     if abs(norm - 1) > 0.01:
         raise ValueError(f"rotation {turn} is no unit quaternion")
-    return spatial.motion(quaternion / norm, np.array(_numbers(shift, 3)))
+    return [value / norm for value in quaternion]
 
 
 def _numbers(values: Any, n: int) -> list[float]:

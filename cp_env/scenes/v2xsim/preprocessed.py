@@ -26,8 +26,11 @@ from cp_env.scenes.v2xsim.preprocessed_build import AGENTS, HEIGHT, FrameSequenc
 from cp_env.scenes.v2xsim.splits import SPLITS
 from cp_env.types import Scene, Sweep
 
-VERSION = 1
+VERSION = 2
+"""Part of the digest: rises when the same files give other scenes."""
+
 DT = 0.2  # s
+CLASS = "vehicle.car"
 _Files = tuple[tuple[Path | None, ...], ...]  # [frame][agent]; None where the set has no folder of the agent
 
 
@@ -111,6 +114,10 @@ class V2XSimDet:
         sequence = self._sequence(scene.name)
         agents = [*sequence.agents.tolist(), *([RSU] if scene.rsu is not None else [])]
         return [[self._sweep(scene, sequence, int(t), k, agent) for k, agent in enumerate(agents)] for t in frames]
+
+    def classes(self, scene: Scene) -> tuple[str, ...]:
+        """The class of each of the scene's vehicles: the files hold cars and police cars, and do not say which."""
+        return (CLASS,) * len(scene.size)
 
     def _sequence(self, name: str) -> FrameSequence:
         return _sequence(self._files[name])

@@ -1,6 +1,8 @@
 """One scene of coperception's detection files put together: frames have no common world but the road-side unit's.
 
-Convention: the world is the frame of the road-side unit's LiDAR, which stands still; boxes lie flat in it.
+Convention: the world is the frame of the road-side unit's LiDAR, which stands still; boxes lie flat in it. A sensor
+that pitches or rolls gives x, y and heading of a box in its own frame. They are taken for those of a vehicle on level
+road at the height of the ground under the sensor, which fixes the z that the files leave out.
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ from cp_env.scenes.errors import BrokenData
 from cp_env.scenes.formats.safe_pickle import load_pickled
 from cp_env.scenes.v2xsim.anchors import ANCHORS, CELLS, SLICES, decode, distinct, voxel_points
 from cp_env.scenes.v2xsim.build import BARE, RSU, STRAY
+from cp_env.scenes.v2xsim.tilt import level
 
 AGENTS = 6
 REACH = 5.0  # m; a vehicle is at most so far from where its last two places would have it
@@ -107,9 +110,8 @@ def read_sequence(paths: Sequence[Sequence[Path | None]]) -> FrameSequence:
     shape = len(paths), AGENTS
     world_T_sensor = np.full((*shape, 3, 4), np.nan)
     slices = np.zeros((AGENTS, SLICES), dtype=np.int64)
-    boxes: list[Float[np.ndarray, "_ 5"]] = []
+    seen: list[list[tuple[int, Float[np.ndarray, "_ 5"]]]] = [[] for _ in paths]  # [frame]: agent, boxes
     for t, row in enumerate(paths):
-        seen = []
         for agent, path in enumerate(row):
             content = None if path is None else _open(path)
             if path is None or content is None:
@@ -117,12 +119,17 @@ def read_sequence(paths: Sequence[Sequence[Path | None]]) -> FrameSequence:
             world_T_sensor[t, agent] = _pose(path, content, agent)
             _points(path, content, agent)
             slices[agent] += np.bincount(content["voxel_indices_0"][:, 2], minlength=SLICES)
-            seen.append(_in_world(_boxes(path, content), world_T_sensor[t, agent]))
-        boxes.append(distinct(np.concatenate(seen)) if seen else np.zeros((0, 5)))
+            seen[t].append((agent, _boxes(path, content)))
     there = ~np.isnan(world_T_sensor[..., 0, 0]).any(axis=0)
     agents = np.array([k for k in range(AGENTS) if k != RSU and there[k]], dtype=np.int64)
     fullest = np.stack([np.zeros(AGENTS), np.zeros(AGENTS), slices.argmax(axis=1)], axis=1).astype(np.int64)
     ground = np.array([voxel_points(fullest[k : k + 1], rsu=k == RSU)[0, 2] for k in range(AGENTS)])
+    boxes = [
+        distinct(
+            np.concatenate([np.zeros((0, 5)), *(in_world(b, world_T_sensor[t, k], float(ground[k])) for k, b in found)])
+        )
+        for t, found in enumerate(seen)
+    ]
     carriers = [_carrier(boxes, world_T_sensor[:, agent]) for agent in agents.tolist()]
     pose, size = _track(boxes)
     own = np.stack([track[:, [0, 1, 4]] for track in carriers], axis=1) if carriers else np.zeros((shape[0], 0, 3))
@@ -136,12 +143,22 @@ def read_sequence(paths: Sequence[Sequence[Path | None]]) -> FrameSequence:
     )
 
 
-def _in_world(boxes: Float[np.ndarray, "L 5"], world_T_sensor: Float[np.ndarray, "3 4"]) -> Float[np.ndarray, "L 5"]:
-    """Boxes of a sensor's frame laid flat into the world."""
-    turned = boxes.copy()
-    turned[:, :2] = boxes[:, :2] @ world_T_sensor[:2, :2].T + world_T_sensor[:2, 3]
-    turned[:, 4] += spatial.heading(world_T_sensor)
-    return turned
+def in_world(
+    boxes: Float[np.ndarray, "L 5"], world_T_sensor: Float[np.ndarray, "3 4"], ground: float
+) -> Float[np.ndarray, "L 5"]:
+    """Boxes of a sensor's frame (x, y, length, width, yaw) in the world: of vehicles that stand on level road.
+
+    Args:
+        boxes: as the sensor's frame shows them; m, rad.
+        world_T_sensor: the sensor's pose, which may pitch and roll.
+        ground: z of the ground in the sensor's frame; m.
+    """
+    turn, middle = world_T_sensor[:, :3], ground * world_T_sensor[2, 2] + HEIGHT / 2
+    ahead = level(np.stack([np.cos(boxes[:, 4]), np.sin(boxes[:, 4])], axis=1), turn, 0.0)
+    laid = boxes.copy()
+    laid[:, :2] = level(boxes[:, :2], turn, middle) + world_T_sensor[:2, 3]
+    laid[:, 4] = np.arctan2(ahead[:, 1], ahead[:, 0])
+    return laid
 
 
 def _carrier(boxes: list[Float[np.ndarray, "_ 5"]], world_T_sensor: Float[np.ndarray, "T 3 4"]) -> np.ndarray:

@@ -5,8 +5,11 @@ Source: Li et al., "V2X-Sim", RA-L 2022; the format is that of nuScenes (Caesar 
 Convention:
     world    the tables' global frame: right-handed, x and y level, z up; m. We call its x axis east.
     sensor   a LiDAR's own frame, in which its file stores points; `world_T_sensor = world_T_ego · ego_T_sensor`.
-    box      centre, (width, length, height), quaternion in the tables; the heading is the turned x axis.
+    box      centre, (width, length, height), quaternion in the tables; the heading is the turned x axis, seen from
+             above. A vehicle may pitch and roll: its returns are counted, and its own left out, along its box's axes.
     ground   under a sensor: the foot of its carrier's box; under a road-side unit: the median foot of boxes near it.
+    Points go through the whole chain in three dimensions, and x and y are taken at its end: no map is tilted, and none
+    has to be warped for it. On a hill z is height above the ground under the sensor, not under the point.
     A sweep is given from the middle of its carrier's box, at the sensor's height: that is the place a vehicle shares.
     Returns from the carrier itself are left out.
 """
@@ -22,12 +25,15 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from cp_env.lidar.returns import count_returns as count_upright
 from cp_env.lidar.returns import to_world_axes
 from cp_env.scenes.errors import BrokenData, sift
 from cp_env.scenes.v2xsim.build import RSU, FrameSequence, build, present
 from cp_env.scenes.v2xsim.index import open_index
 from cp_env.scenes.v2xsim.splits import choose
 from cp_env.scenes.v2xsim.tables import find_tables
+from cp_env.scenes.v2xsim.tilt import count_returns as count_leaning
+from cp_env.scenes.v2xsim.tilt import leaning, over_or_under
 from cp_env.types import Scene, Sweep
 
 CATEGORIES = ("vehicle.car", "vehicle.emergency", "vehicle.van", "vehicle.truck", "vehicle.bus", "vehicle.trailer")
@@ -105,6 +111,10 @@ class V2XSim:
         sequence = self._sequence(scene.name)
         return [[self._sweep(sequence, int(frame), agent) for agent in sequence.agents] for frame in frames]
 
+    def classes(self, scene: Scene) -> tuple[str, ...]:
+        """The category's name of each of the scene's vehicles; "not annotated" of a carrier that has no box."""
+        return self._sequence(scene.name).classes
+
     def _sequence(self, name: str) -> FrameSequence:
         return build(self._index, self._place[name], self._categories, self._rsu)
 
@@ -128,7 +138,7 @@ class V2XSim:
             _check_size(self._root / file, listing.size(file))
 
     def _digest(self, listing: _Listing) -> str:
-        sha = hashlib.sha256(repr(("v2x-sim-1", self._index.digest, self._categories, self._rsu)).encode())
+        sha = hashlib.sha256(repr(("v2x-sim-2", self._index.digest, self._categories, self._rsu)).encode())
         for name in self._names:
             for file in self._index.rows(self._place[name]).sweep.ravel().tolist():
                 sha.update(repr((file, listing.stamp(file))).encode())
@@ -140,8 +150,16 @@ class V2XSim:
         origin, ground = sequence.origin[agent][frame], sequence.ground[frame, agent]
         shift = world_T_sensor[:, 3] - (origin[0], origin[1], ground)
         boxes = sequence.boxes[frame] - (origin[0], origin[1], ground, 0, 0, 0, 0)
+        tilt = sequence.tilt[frame]
         own = None if agent == RSU else sequence.row[agent]
         points, hits = to_world_axes(read_points(path), world_T_sensor[:, :3], shift, boxes, own)
+        rows = leaning(tilt)
+        if own is not None and own in rows:
+            keep = ~over_or_under(points, boxes[own], tilt[own])
+            if not keep.all():
+                points = points[keep]
+                hits = count_upright(points, boxes)
+        hits[rows] = count_leaning(points, boxes[rows], tilt[rows])
         return Sweep(points, origin, hits)
 
 

@@ -9,7 +9,7 @@ import hashlib
 import json
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 from tqdm import tqdm
 
@@ -27,6 +27,9 @@ TABLES = (
     "sample_annotation",
 )
 """The tables that are read, each `<name>.json`."""
+
+RECORD_CHARACTERS = 1 << 20
+"""One record is at most so long; a table may be of any length, it is read record by record."""
 
 _CHUNK = 1 << 20  # characters
 _BETWEEN = " \t\r\n,"
@@ -71,12 +74,13 @@ class Tables:
         """`[record[field] for field in fields]` of every record of a table, in order.
 
         Raises:
-            BrokenData: the table cannot be read, is no list of records, or a record lacks a field.
+            BrokenData: the table cannot be read, is no list of records, or a record lacks a field, is longer than
+            `RECORD_CHARACTERS`, or is nested deeper than Python's decoder goes.
         """
         path = self.path(name)
         for number, record in enumerate(self._records(path)):
             if not isinstance(record, dict):
-                raise BrokenData(path, f"record {number} is {record!r}, not a table of fields")
+                raise BrokenData(path, f"record {number} is {record!r:.80}, not a table of fields")
             try:
                 yield [record[field] for field in fields]
             except KeyError as error:
@@ -88,28 +92,38 @@ class Tables:
         return self._sha.hexdigest()
 
     def _records(self, path: Path) -> Iterator[Any]:
-        decode = json.JSONDecoder().raw_decode
         try:
             with path.open(encoding="utf-8") as file:
-                text, at = self._more(file.read(_CHUNK)).lstrip(), 1
-                if not text.startswith("["):
-                    raise BrokenData(path, "it does not hold a JSON list")
-                while True:
-                    while at < len(text) and text[at] in _BETWEEN:
-                        at += 1
-                    if at < len(text) and text[at] == "]":
-                        return
-                    try:
-                        record, at = decode(text, at)
-                    except json.JSONDecodeError as error:
-                        chunk = self._more(file.read(_CHUNK))
-                        if not chunk:
-                            raise BrokenData(path, "it is cut short, or not JSON") from error
-                        text, at = text[at:] + chunk, 0
-                    else:
-                        yield record
-        except (OSError, UnicodeDecodeError) as error:
+                yield from self._parts(path, file)
+        except BrokenData:
+            raise
+        except RecursionError as error:
+            raise BrokenData(path, "a record that is nested too deeply") from error
+        except (OSError, ValueError) as error:
             raise BrokenData(path, str(error)) from error
+
+    def _parts(self, path: Path, file: TextIO) -> Iterator[Any]:
+        decode = json.JSONDecoder().raw_decode
+        text, at = self._more(file.read(_CHUNK)).lstrip(), 1
+        if not text.startswith("["):
+            raise BrokenData(path, "it does not hold a JSON list")
+        while True:
+            while at < len(text) and text[at] in _BETWEEN:
+                at += 1
+            if at < len(text) and text[at] == "]":
+                return
+            try:
+                record, at = decode(text, at)
+            except json.JSONDecodeError as error:
+                if len(text) - at > RECORD_CHARACTERS:
+                    reason = f"a record of more than {RECORD_CHARACTERS} characters, or what is not JSON"
+                    raise BrokenData(path, reason) from error
+                chunk = self._more(file.read(_CHUNK))
+                if not chunk:
+                    raise BrokenData(path, "it is cut short, or not JSON") from error
+                text, at = text[at:] + chunk, 0
+            else:
+                yield record
 
     def _more(self, chunk: str) -> str:
         self._sha.update(chunk.encode())

@@ -67,3 +67,45 @@ def test_the_grid_begins_on_the_lattice(scene: Scene) -> None:
     shifted = Scene(**{**vars(scene), "pose": pose})
     assert rows_in_range(shifted, 0, ego=1, extent=32.0).tolist() == [0, 2, 3]
     np.testing.assert_allclose(truth_boxes(shifted, 0, 1, 32.0)[0], [3, 0, 4, 2, 0.5], atol=1e-5)
+
+
+def test_truth_as_coperception_counts_it(scene: Scene) -> None:
+    """Half a metre farther than the map, that limit included, and with the ego's own car."""
+    assert rows_in_range(scene, 0, 1, 32.0, "coperception").tolist() == [0, 1, 2, 3]
+    own = truth_boxes(scene, 0, 1, 32.0, "coperception")[1]
+    np.testing.assert_allclose(own, [0, 0, 5, 2.1, 0], atol=1e-6)
+    pose = scene.pose.copy()
+    for x, counts in ((132.5, True), (132.6, False), (67.5, True), (67.4, False)):
+        pose[0, 3, 0] = x
+        moved = Scene(**{**vars(scene), "pose": pose})
+        assert (3 in rows_in_range(moved, 0, 1, 32.0, "coperception")) == counts
+        assert 3 not in rows_in_range(moved, 0, 1, 32.0)
+    assert rows_in_range(scene, 0, 5, 32.0, "coperception").tolist() == [5]
+
+
+def test_truth_along_the_egos_axes(scene: Scene) -> None:
+    """The ego looks north from (100.3, 50.4): what is 5 m east of it is on its right, at y = -4.7 m."""
+    pose = scene.pose.copy()
+    pose[0, 1] = [100.3, 50.4, math.pi / 2]
+    turned = Scene(**{**vars(scene), "pose": pose})
+    boxes = truth_boxes(turned, 0, 1, 32.0, axes="ego")
+    np.testing.assert_allclose(boxes[0], [-0.4, -4.7, 4, 2, 0.5 - math.pi / 2], atol=1e-5)
+    theirs = truth_boxes(turned, 0, 1, 32.0, "coperception", "ego")
+    np.testing.assert_allclose(theirs[1], [0, 0, 5, 2.1, 0], atol=1e-6)
+
+
+def test_a_square_that_turns_with_the_ego_holds_others(scene: Scene) -> None:
+    """Turned by 45° the square reaches 45 m east, and 22 m northeast: row 2, at (31.9, 31.9), is out of it."""
+    pose = scene.pose.copy()
+    pose[0, 1, 2] = math.pi / 4
+    pose[0, 3, :2] = [145.9, 50]
+    turned = Scene(**{**vars(scene), "pose": pose})
+    assert rows_in_range(turned, 0, 1, 32.0, "coperception", "ego").tolist() == [0, 1, 3]
+    assert rows_in_range(turned, 0, 1, 32.0, "coperception").tolist() == [0, 1, 2]
+
+
+def test_unknown_choices_of_truth_are_refused(scene: Scene) -> None:
+    with pytest.raises(ValueError, match="unknown protocol 'voc' of the truth"):
+        truth_boxes(scene, 0, 1, 32.0, "voc")
+    with pytest.raises(ValueError, match="must be 'grid' or 'ego', not 'world'"):
+        rows_in_range(scene, 0, 1, 32.0, axes="world")

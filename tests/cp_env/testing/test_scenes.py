@@ -12,12 +12,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cp_env.lidar.returns import count_returns, standing
 from cp_env.scenes import Town
 from cp_env.scenes.clip import Clip
 from cp_env.scenes.opv2v.source import OPV2V
 from cp_env.scenes.opv2v.writer import write
 from cp_env.testing import check_scenes
-from cp_env.testing.scenes import LAWS, LawBroken
+from cp_env.testing.scenes import LAWS, MISREADINGS, LawBroken
 from cp_env.types import Scene, SceneSource, Sweep
 from tests.helpers.toy_scenes import ToySource
 
@@ -166,8 +167,33 @@ class SelfAware(Recorded):
 
 
 def boastful(self: Any, scene: Scene, t: int, agent: int, sweep: Sweep) -> Sweep:
+    """One vehicle is said to return more than it does."""
     assert sweep.hits is not None
-    return replace(sweep, hits=sweep.hits[::-1].copy())
+    hits = sweep.hits.copy()
+    hits[hits.argmax()] *= 3
+    return replace(sweep, hits=hits)
+
+
+def across(pose: np.ndarray) -> None:
+    """Parked vehicles stand across the street."""
+    pose[:, 8:, 2] += np.pi / 2
+
+
+def axes(turn: list[list[float]]) -> Callable[..., Sweep]:
+    """Points whose x and y are read otherwise; the hits are counted anew, as a reader would."""
+
+    def sweep(self: Any, scene: Scene, t: int, agent: int, sweep: Sweep) -> Sweep:
+        points = sweep.points @ np.float32([[*turn[0], 0], [*turn[1], 0], [0, 0, 1]]).T
+        return replace(sweep, points=points, hits=count_returns(points, standing(scene, t, sweep.origin[:2])))
+
+    return sweep
+
+
+def unmet(self: Any, scene: Scene, t: int, agent: int, sweep: Sweep) -> Sweep:
+    """No vehicle returns anything."""
+    solid = sweep.points[:, 2] > 0.25
+    place = np.abs(sweep.points[:, :2] + sweep.origin[:2])
+    return replace(sweep, points=sweep.points[~(solid & (place.max(axis=1) < 32))], hits=None)
 
 
 def of(base: type[Recorded] = Recorded, **members: Any) -> Callable[[], Any]:
@@ -220,8 +246,20 @@ MUTANTS: list[tuple[str, str, Callable[[], Any]]] = [
     ("sweeps_begin_at_their_agent", "the unit first", of(sweeps=unit_first)),
     ("the_road_is_at_zero", "z from the sensor", of(sweep=points(lambda p: p - np.float32([0, 0, 1.7])))),
     ("the_road_is_at_zero", "the road left out", of(sweep=points(lambda p: p[p[:, 2] > 0.6]))),
-    ("boxes_hold_their_vehicles", "the vehicle's axes", of(sweep=turned)),
-    ("hits_lie_in_their_box", "hits in another order", of(sweep=boastful)),
+    ("returns_lie_in_their_box", "the vehicle's axes", of(sweep=turned)),
+    ("returns_lie_in_their_box", "x mirrored", of(sweep=axes([[-1, 0], [0, 1]]))),
+    ("returns_lie_in_their_box", "y mirrored", of(sweep=axes([[1, 0], [0, -1]]))),
+    ("returns_lie_in_their_box", "x and y swapped", of(sweep=axes([[0, 1], [1, 0]]))),
+    ("returns_lie_in_their_box", "a quarter turn", of(sweep=axes([[0, -1], [1, 0]]))),
+    ("returns_lie_in_their_box", "shifted", of(sweep=points(lambda p: p + np.float32([1.0, 0, 0])))),
+    ("returns_lie_in_their_box", "headings a quarter on", of(scene=poses(across))),
+    ("boxes_hold_their_vehicles", "no returns from vehicles", of(sweep=unmet)),
+    ("hits_lie_in_their_box", "too many hits on one vehicle", of(sweep=boastful)),
+    (
+        "returns_lie_in_their_box",
+        "hits in another order",
+        of(sweep=lambda s, c, t, a, w: replace(w, hits=w.hits[::-1].copy())),
+    ),
     ("carriers_do_not_see_themselves", "its own roof", SelfAware),
     ("frames_do_not_depend_on_their_batch", "noise by batch", Noisy),
     ("loading_again_changes_nothing", "sizes that grow", Drifting),
@@ -236,6 +274,57 @@ def test_a_source_that_breaks_a_law_is_told(law: str, how: str, mutant: Callable
     with pytest.raises(LawBroken) as told:
         check_scenes(mutant(), frames=FRAMES)
     assert told.value.law == law, str(told.value)
+
+
+def headings(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Any, Scene], Scene]:
+    def scene(self: Any, scene: Scene) -> Scene:
+        return bent(scene, pose=np.concatenate([scene.pose[..., :2], change(scene.pose[..., 2:])], axis=-1))
+
+    return scene
+
+
+WRONG: dict[str, dict[str, Any]] = {
+    "x mirrored": {"sweep": axes([[-1, 0], [0, 1]])},
+    "y mirrored": {"sweep": axes([[1, 0], [0, -1]])},
+    "x and y swapped": {"sweep": axes([[0, 1], [1, 0]])},
+    "turned by 90° to the left": {"sweep": axes([[0, -1], [1, 0]])},
+    "turned by 90° to the right": {"sweep": axes([[0, 1], [-1, 0]])},
+    "turned by 180°": {"sweep": axes([[-1, 0], [0, -1]])},
+    "shifted east": {"sweep": points(lambda p: p + np.float32([1.0, 0, 0]))},
+    "shifted north": {"sweep": points(lambda p: p + np.float32([0, 1.0, 0]))},
+    "shifted both ways": {"sweep": points(lambda p: p - np.float32([0.8, 0.8, 0]))},
+    "headings a quarter on": {"scene": headings(lambda yaw: yaw + np.pi / 2)},
+    "headings reversed": {"scene": headings(np.negative)},
+    "headings from north": {"scene": headings(lambda yaw: np.pi / 2 - yaw)},
+}
+
+
+@pytest.mark.parametrize("hits", [True, False], ids=["told", "not told"])
+@pytest.mark.parametrize("wrong", WRONG)
+def test_the_law_of_boxes_alone_finds_every_misreading(wrong: str, hits: bool) -> None:
+    """Whether the source counts returns by its boxes, says who returned them, or says nothing."""
+    source = of(**WRONG[wrong])()
+    if not hits:
+        counted = type(source).sweep
+        source = of(**WRONG[wrong] | {"sweep": lambda *args: replace(counted(*args), hits=None)})()
+    others = [law.__name__ for law in LAWS if law.__name__ != "returns_lie_in_their_box"]
+    with pytest.raises(LawBroken, match=r"only \d+ of \d+ have") as told:
+        check_scenes(source, frames=FRAMES, skip=others)
+    turns = wrong in MISREADINGS
+    assert ("would with" in str(told.value)) == turns, "a turn of the axes is named"
+
+
+def test_a_misreading_is_named_by_what_would_mend_it() -> None:
+    with pytest.raises(LawBroken, match=r"would with x mirrored\n  the law: Of the vehicles within 30 m"):
+        check_scenes(of(sweep=axes([[-1, 0], [0, 1]]))(), frames=1)
+    with pytest.raises(LawBroken, match="would with turned by 90° to the left"):
+        check_scenes(of(sweep=axes([[0, 1], [-1, 0]]))(), frames=1)
+
+
+@pytest.mark.parametrize("split", ["train", "calibration", "test"])
+def test_the_returns_of_the_town_lie_in_their_boxes(split: str) -> None:
+    others = [law.__name__ for law in LAWS if law.__name__ != "returns_lie_in_their_box"]
+    assert check_scenes(Clip(Town(split), vehicles=3), scenes=6, frames=2, skip=others)
 
 
 def test_every_law_has_a_mutant() -> None:

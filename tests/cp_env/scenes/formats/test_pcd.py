@@ -152,3 +152,42 @@ def test_a_file_cut_short_is_named_wherever_it_is_cut(tmp_path: Path) -> None:
         path.write_bytes(packed[:length])
         with pytest.raises(BrokenData, match=r"a\.pcd: is no point cloud"):
             pcd.read(path)
+
+
+GOOD = (
+    b"VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 2\nHEIGHT 1\nPOINTS 2\nDATA %s\n"
+    b"0 0 0 1 1 1 0 0 0 0 0 0 0"
+)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        (b"%s", b"binary_compressed\n\x04\0\0\0\xff\xff\xff\xff", "unpack to 4294967295 bytes; at most"),
+        (b"%s\n", b"ascii\n" + b"1 " * (pcd.TEXT_BYTES // 2), "a text of .* bytes; at most"),
+        (b"WIDTH 2\nHEIGHT 1\nPOINTS 2", b"WIDTH 99999999\nHEIGHT 1\nPOINTS 99999999", "cut short"),
+        (b"COUNT 1 1 1", b"COUNT 1 1 0", "count 0 to 1 numbers"),
+        (b"COUNT 1 1 1", b"COUNT 1 1 999999999", "count 1 to 999999999 numbers"),
+        (b"SIZE 4 4 4", b"SIZE 4 4 4,i8", "of sizes"),
+        (b"FIELDS x y z", b"FIELDS x y z" + b" w" * 100, "103 fields"),
+        (b"VERSION 0.7", b"#" * 70_000 + b"\nVERSION 0.7", "header ends before the line DATA"),
+        (b"POINTS 2", b"POINTS " + b"9" * 5000, "limit"),
+    ],
+)
+def test_what_takes_too_much_is_refused(old: bytes, new: bytes, told: str, tmp_path: Path) -> None:
+    (tmp_path / "a.pcd").write_bytes(GOOD.replace(old, new).replace(b"%s", b"ascii"))
+    with pytest.raises(BrokenData, match=rf"a\.pcd: .*{told}"):
+        pcd.read(tmp_path / "a.pcd")
+
+
+def test_numbers_beyond_single_precision_are_no_return(tmp_path: Path) -> None:
+    (tmp_path / "a.pcd").write_bytes(
+        GOOD.replace(b"%s", b"ascii").replace(b"0 0 0 1 1 1 0 0 0 0 0 0 0", b"1e99 0 0 1 2 3")
+    )
+    assert pcd.read(tmp_path / "a.pcd").tolist() == [[1, 2, 3]]
+
+
+def test_packed_points_are_held_to_their_size_while_they_unpack() -> None:
+    much = b"\x00a" + b"\xe0\xff\x00" * 100_000  # 264 bytes each
+    with pytest.raises(ValueError, match="its packed data give 265 bytes, not 10"):
+        pcd.unpack_lzf(much, 10)

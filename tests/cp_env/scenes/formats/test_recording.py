@@ -91,3 +91,33 @@ def test_other_versions_pickles_and_lacking_arrays_are_refused(tmp_path: Path) -
 
 def test_wrap_by_hand() -> None:
     assert np.allclose(wrap(np.array([0.0, 3 * np.pi / 2, -3 * np.pi / 2, np.pi])), [0, -np.pi / 2, np.pi / 2, -np.pi])
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            {"steps": np.zeros((6_000_000, 0, 3), np.int16), "first": np.zeros((0, 3), np.int32)},
+            "at most 10000000 in all",
+        ),
+        ({"parked": np.zeros((2_000_000, 3), np.int32)}, "at most 10000000 in all"),
+        ({"connected": np.array([0, 99], np.int16)}, "distinct rows of 6"),
+        ({"connected": np.array([0, 0], np.int16)}, "distinct rows of 6"),
+        ({"connected": np.array([-1, 0], np.int16)}, "distinct rows of 6"),
+        ({"dt": np.array(np.nan)}, "dt must be"),
+        ({"dt": np.array([0.2])}, "dt is of type"),
+        ({"size": np.zeros((5, 3), np.int16)}, "size has shape"),
+        ({"first": np.zeros((4, 3))}, "first is of type float64"),
+        ({"rsu": np.zeros(2, np.int32)}, "rsu has shape"),
+        ({"present": np.zeros((1, 4), np.uint8)}, "present has shape"),
+        ({"strange": np.zeros(1)}, "'strange' is missing, or is none"),
+    ],
+)
+def test_arrays_that_do_not_fit_each_other(tmp_path: Path, change: dict[str, np.ndarray], message: str) -> None:
+    path = tmp_path / "a.npz"
+    recording.write(path, drawn(0, n_frames=9, n_moving=4, n_parked=2, rsu=True))
+    with np.load(path) as file:
+        arrays = dict(file)
+    np.savez_compressed(path, **{**arrays, **change})
+    with pytest.raises(ValueError, match=rf"a\.npz is broken \(.*{message}"):
+        recording.read(path, "a")

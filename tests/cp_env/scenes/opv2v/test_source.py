@@ -14,7 +14,8 @@ from cp_env.scenes import open_source
 from cp_env.scenes.errors import BrokenData
 from cp_env.scenes.formats import pcd
 from cp_env.scenes.opv2v.axes import carla_motion
-from cp_env.scenes.opv2v.files import read_note, survey
+from cp_env.scenes.opv2v.files import read_note
+from cp_env.scenes.opv2v.folders import survey
 from cp_env.scenes.opv2v.source import OPV2V
 
 # A drive by hand, in CARLA's axes: the road is 10 m up; the ego (7) drives east, a partner (12) 20 m ahead of it drives
@@ -36,7 +37,7 @@ def note(
     back = carla_motion(np.array(body)) @ [-0.5, 0.0, 1.9, 1.0]
     return {
         "camera0": {"cords": [0.0] * 6, "intrinsic": [[1.0, 0.0], [0.0, 1.0]]},
-        "ego_speed": 18.0,
+        "ego_speed": 36.0,
         "lidar_pose": [*back.tolist(), 0.0, yaw, 0.0],
         "plan_trajectory": [[1.0, 2.0, 3.0]],
         "predicted_ego_pos": predicted or body,
@@ -194,7 +195,7 @@ def test_localisation_that_all_get_equally_wrong_displaces_nothing(tmp_path: Pat
 def test_a_string_opens_it_and_a_pickle_goes_on(tmp_path: Path) -> None:
     write_drive(tmp_path / "test")
     source = open_source(f"opv2v:{tmp_path}?split=test&noise=0.2,0.5&seed=1&vehicles=2&stride=1")
-    assert isinstance(source, OPV2V) and source.name == "opv2v/test" and source.noise == (0.2, 0.5)
+    assert isinstance(source, OPV2V) and source.name == "opv2v/test" and source.options.noise == (0.2, 0.5)
     scene = source.load("2021_08_16")
     again = pickle.loads(pickle.dumps(source))
     assert again.digest == source.digest
@@ -270,23 +271,126 @@ def test_missing_files_empty_sweeps_and_hostile_notes_are_named(tmp_path: Path) 
     for agent in ("7", "12"):
         for left in (folder / agent).iterdir():
             left.unlink()
-    with pytest.raises(BrokenData, match="holds no frame"):
+    with pytest.raises(BrokenData, match="hold no frame"):
         OPV2V(tmp_path)
 
 
-def test_skip_broken_lists_what_it_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    write_drive(tmp_path).rename(tmp_path / "whole")
-    for name in ("cut", "mad", "gone"):
-        write_drive(tmp_path).rename(tmp_path / name)
+def test_a_broken_file_costs_the_frames_it_touches(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Frames are every second file: 69, 73, 77, 81. What is between them costs nothing, whatever it is."""
+    for name in ("whole", "cut", "mad", "gone", "between", "unit"):
+        write_drive(tmp_path, frames=7, rsu=name == "unit").rename(tmp_path / name)
     cut = tmp_path / "cut" / "7" / "000073.pcd"
     cut.write_bytes(cut.read_bytes()[:-1])
     (tmp_path / "mad" / "12" / "000069.yaml").write_text("vehicles: {}\n")
-    (tmp_path / "gone" / "12" / "000069.pcd").unlink()
-    with pytest.raises(BrokenData, match=r"is missing \(scene gone"):
+    (tmp_path / "gone" / "12" / "000081.pcd").unlink()
+    (tmp_path / "between" / "7" / "000071.yaml").unlink()
+    moved = tmp_path / "unit" / "-1" / "000077.yaml"
+    moved.write_text(moved.read_text().replace("- 110.0", "- 111.0", 1))
+    with pytest.raises(BrokenData, match=r"is missing \(scene between"):
         OPV2V(tmp_path)
     source = OPV2V(tmp_path, skip_broken=True)
-    assert source.names() == ("whole",)
+    frames = {name: source.load(name).n_frames for name in source.names()}
+    assert frames == {
+        "whole": 4, "cut@000069": 1, "cut@000077": 2, "mad": 3, "gone": 3, "between": 4, "unit@000069": 2,
+        "unit@000081": 1,
+    }  # fmt: skip
     left = {item.scene: f"{item.file.name} {item.reason}" for item in source.left_out}
-    assert left.keys() == {"cut", "mad", "gone"}
-    assert "cut short" in left["cut"] and "lacks lidar_pose" in left["mad"] and "is missing" in left["gone"]
-    assert "left out scene cut" in "".join(capsys.readouterr())
+    assert left.keys() == {
+        f"{name}, frame 0000{n}" for name, n in (("cut", 73), ("mad", 69), ("gone", 81), ("unit", 77))
+    }
+    assert "cut short" in left["cut, frame 000073"] and "lacks lidar_pose" in left["mad, frame 000069"]
+    assert "left out scene cut, frame 000073" in "".join(capsys.readouterr())
+    whole, piece = source.load("whole"), source.load("cut@000077")
+    assert np.array_equal(piece.pose, whole.pose[2:], equal_nan=True) and piece.dt == whole.dt
+    assert (source.sweeps(piece, [0])[0][1].points == source.sweeps(whole, [2])[0][1].points).all()
+    assert OPV2V(tmp_path, skip_broken=True, scenes=("cut",)).names() == ("cut@000069", "cut@000077")
+    assert OPV2V(tmp_path, skip_broken=True, scenes=("cut@000077", "mad")).names() == ("cut@000077", "mad")
+
+
+def test_a_scenario_without_a_sound_frame_is_left_out(tmp_path: Path) -> None:
+    for name in ("whole", "lost"):
+        write_drive(tmp_path, frames=2).rename(tmp_path / name)
+    for file in (tmp_path / "lost" / "7").glob("*.pcd"):
+        file.unlink()
+    source = OPV2V(tmp_path, skip_broken=True)
+    assert source.names() == ("whole",) and [item.scene for item in source.left_out] == ["lost"]
+    assert "no frame whose files are all there" in source.left_out[0].reason
+
+
+def test_a_scene_follows_one_rate_over_a_gap_in_the_numbers(tmp_path: Path) -> None:
+    folder = write_drive(tmp_path, frames=9)
+    for agent in ("7", "12"):
+        for suffix in (".yaml", ".pcd"):
+            (folder / agent / f"000077{suffix}").unlink()
+    assert OPV2V(tmp_path).names() == ("2021_08_16@000069", "2021_08_16@000081")
+    assert [OPV2V(tmp_path).load(name).n_frames for name in OPV2V(tmp_path).names()] == [2, 2]
+
+
+def test_what_a_vehicle_is_may_be_chosen(tmp_path: Path) -> None:
+    """The van has no class in OPV2V, so it counts; a class makes it what it is."""
+    folder = write_drive(tmp_path)
+    for kind, classes, counts in (
+        (None, ("vehicle",), True),
+        ("VAN", ("vehicle",), True),
+        ("Pedestrian", ("vehicle",), False),
+        ("Trash_Can", ("vehicle",), False),
+        ("pedestrian", ("vehicle", "pedestrian"), True),
+        ("Van", ("vehicle", "-van"), False),
+        ("Hovercraft", ("vehicle", "hovercraft"), True),
+    ):
+        for file in sorted((folder / "12").glob("*.yaml")):
+            said = loaded(file.read_text())
+            said["vehicles"][3] = {**VAN} if kind is None else {**VAN, "obj_type": kind}
+            file.write_text(dumped(said))
+        source = OPV2V(tmp_path, classes=classes)
+        scene = source.load("2021_08_16")
+        assert len(scene.size) == (3 if counts else 2), kind
+        hits = source.sweeps(scene, [0])[0][0].hits
+        assert hits is not None and len(hits) == len(scene.size)
+    with pytest.raises(BrokenData, match=r"12.000069\.yaml: vehicle 3: .*obj_type 'Hovercraft'.*-hovercraft"):
+        OPV2V(tmp_path).load("2021_08_16")
+
+
+def test_connected_vehicles_count_whatever_they_are_said_to_be(tmp_path: Path) -> None:
+    folder = write_drive(tmp_path)
+    for file in sorted(folder.glob("*/*.yaml")):
+        said = loaded(file.read_text())
+        for entry in said["vehicles"].values():
+            entry["obj_type"] = "Cyclist"
+        file.write_text(dumped(said))
+    assert len(OPV2V(tmp_path).load("2021_08_16").size) == 2
+
+
+def test_aliases_are_read_also_of_what_is_not(tmp_path: Path) -> None:
+    folder = write_drive(tmp_path)
+    plain = OPV2V(tmp_path, stride=1).load("2021_08_16")
+    file = folder / "12" / "000069.yaml"
+    said = file.read_text()
+    van = dumped({"vehicles": {3: VAN}}).partition("vehicles:\n")[2]
+    file.write_text("camera9: &van\n" + van + dumped(loaded(said)).replace(van, "  3: *three\n"))
+    file.write_text(file.read_text().replace("  3:\n", "  3: &three\n", 1))
+    again = OPV2V(tmp_path, stride=1).load("2021_08_16")
+    assert "*three" in file.read_text() and np.allclose(again.pose, plain.pose) and np.allclose(again.size, plain.size)
+
+
+def test_bounds_of_a_note_are_named(tmp_path: Path) -> None:
+    file = write_drive(tmp_path) / "12" / "000069.yaml"
+    for text, told in (
+        ("vehicles: " + "[" * 100_000, "nested deeper than 32"),
+        ("vehicles: {a: 1}\n" + "#" * (4 << 20), "holds .* bytes; at most"),
+        ("lidar_pose: [1e999, 0, 0, 0, 0, 0]", "6 finite numbers"),
+        ("lidar_pose: [" + "9" * 5000 + ", 0, 0, 0, 0, 0]", "lidar_pose"),
+        ("lidar_pose: [0, 0, 0, 0, 0, 0]\nvehicles: {[1]: {}}", "is a key"),
+    ):
+        file.write_text(text)
+        with pytest.raises(BrokenData, match=told):
+            read_note(file)
+
+
+def test_poses_of_v2v4real_are_told_where_they_are_read(tmp_path: Path) -> None:
+    folder = write_drive(tmp_path)
+    file = folder / "12" / "000069.yaml"
+    said = loaded(file.read_text())
+    file.write_text(dumped({**said, "lidar_pose": np.eye(4).tolist()}))
+    with pytest.raises(BrokenData, match="lidar_pose is a matrix, as in V2V4Real: open the data as v2v4real:PATH"):
+        OPV2V(tmp_path).load("2021_08_16")

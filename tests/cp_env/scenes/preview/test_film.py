@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from PIL import Image
 
 from cp_env.cli import main
+from cp_env.scenes.export import export
 from cp_env.scenes.opv2v.writer import write
 from cp_env.scenes.preview import film
 from cp_env.types import Scene, Sweep
 from tests.helpers.toy_scenes import ToySource
+from tests.helpers.v2xsim_sets import edit
 
 SCENE = Scene(
     name="three",
@@ -74,6 +77,47 @@ def test_the_picture_shows_east_on_the_right_and_north_on_top() -> None:
     assert at(unseen, -20, -9, 50) == film.UNMET
 
 
+def test_a_box_that_returns_miss_has_a_colour_of_its_own() -> None:
+    """Ten returns 0.5 m north of row 1's box and three in it; seen, but not where it stands."""
+    sweeps = Three().sweeps(SCENE, [0])[0]
+    outside = [[20 + dx / 10, 11.5, 1.0] for dx in range(10)]
+    image = film.draw(
+        SCENE, 0, [replace(sweeps[0], points=np.float32([*sweeps[0].points, *outside])), sweeps[1]], extent=50
+    )
+    assert at(image, 18.5, 11.0 - 0.05, 50) == film.MISSED
+    assert at(image, -20 - 1.0 + 0.05, -10.5, 50) == film.MET
+
+
+def test_the_command_tells_classes_rate_speeds_redundancy_and_misses(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    arguments = ["--out", str(tmp_path / "film.gif"), "--every", "1"]
+    files = export(ToySource(n_frames=3, n_connected=2), tmp_path / "set", names=["toy-1"])
+    main(["scenes", "preview", str(files), *arguments])
+    told = " ".join(capsys.readouterr().out.split())
+    for part in (
+        "classes 13 vehicle.car, 1 vehicle.truck",
+        "5 frames a second",
+        "speeds median 3.0 m/s, 95 % below 5.0, fastest 5.0; 43% stand; the ego's median 5.0",
+        "redundancy of the vehicles in a frame agents see 1",
+        "returns most lie in their box for",
+    ):
+        assert part in told, part
+    assert "boxes that returns miss" not in told
+    edit(files, "sample_annotation", _turn_boxes)
+    main(["scenes", "preview", f"v2x-sim:{files}", *arguments, "--vehicles", "3"])
+    told = " ".join(capsys.readouterr().out.split())
+    assert "boxes that returns miss (3 of" in told and "row class frame agent returns in the box" in told
+
+
+def _turn_boxes(records: list[dict[str, Any]]) -> None:
+    """A quarter turn to the left, each."""
+    for record in records:
+        w, _, _, z = record["rotation"]
+        record["rotation"] = [(w - z) / 2**0.5, 0.0, 0.0, (w + z) / 2**0.5]
+
+
 def test_the_command_films_a_folder_and_prints_its_figures(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -87,6 +131,7 @@ def test_the_command_films_a_folder_and_prints_its_figures(
         "2 connected vehicles and a road-side unit 6.0 m up",
         "14 in all",
         "0.6 s at 5 frames a second",
+        "14 in a frame classes",
         "0 ego",
     ):
         assert part in told

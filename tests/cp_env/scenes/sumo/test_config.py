@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ import shapely
 from cp_env.scenes.errors import BrokenData
 from cp_env.scenes.sumo import config
 from cp_env.scenes.sumo.roadside import footprints
-from tests.cp_env.scenes.sumo.test_live import NET
+from tests.helpers.sumo_networks import NET
 
 POLYGONS = """<additional>
     <poly id="hall" type="building.commercial" shape="10,8 30,8 30,18 10,18 10,8">
@@ -56,6 +57,8 @@ def test_a_configuration_names_its_files_and_missing_ones_are_told(tmp_path: Pat
     found = config.find(file)
     assert found.net == tmp_path / "a.net.xml" and found.polygons == tmp_path / "a.poly.xml" and found.config == file
     assert len(found.every) == 5
+    assert [name.name for name in found.demand] == ["stops.xml", "r.xml"], "types stand in additional files"
+    assert (found.begin, found.end) == (0, np.inf)
     bare = config.find(tmp_path / "a.net.xml")
     assert bare.config is None and bare.polygons == tmp_path / "a.poly.xml"
     for content, told in (
@@ -71,3 +74,29 @@ def test_a_configuration_names_its_files_and_missing_ones_are_told(tmp_path: Pat
     (tmp_path / "a.poly.xml").write_text('<additional><poly id="x" type="building" shape="1,2 3"/></additional>')
     with pytest.raises(BrokenData, match="polygon 'x'"):
         config.buildings(tmp_path / "a.poly.xml")
+
+
+def test_the_period_of_a_configuration(tmp_path: Path) -> None:
+    (tmp_path / "a.net.xml").write_text(NET)
+    file = tmp_path / "a.sumocfg"
+    told = (
+        '<configuration><net-file value="a.net.xml"/><time><begin value="{}"/><end value="{}"/></time></configuration>'
+    )
+    for begin, end, expected in (
+        ("15:0:0", "16:0:0", (54000, 57600)),
+        ("28800", "-1", (28800, np.inf)),
+        ("", "", (0, np.inf)),
+    ):
+        file.write_text(told.format(begin, end))
+        assert (config.find(file).begin, config.find(file).end) == expected
+    file.write_text(told.format("noon", "1"))
+    with pytest.raises(BrokenData, match="begin or end: 'noon' is no time"):
+        config.find(file)
+
+
+def test_a_packed_configuration_is_refused_and_a_packed_network_is_not(tmp_path: Path) -> None:
+    (tmp_path / "a.net.xml.gz").write_bytes(gzip.compress(NET.encode()))
+    assert config.find(tmp_path / "a.net.xml.gz").net == tmp_path / "a.net.xml.gz"
+    (tmp_path / "a.sumocfg.gz").write_bytes(gzip.compress(b"<configuration/>"))
+    with pytest.raises(BrokenData, match="is a packed configuration, which SUMO does not read: unpack it"):
+        config.find(tmp_path / "a.sumocfg.gz")

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
-import numpy as np
+from contextlib import closing
+from pathlib import Path
 
-from cp_env.scenes.sumo.traffic import AXLE, _tracks
+import numpy as np
+import pytest
+
+from cp_env.scenes.sumo.traffic import AXLE, _tracks, stretches, watch
+from tests.helpers.sumo_networks import configuration, netgenerate
 
 SIZES = np.array([[4.0, 1.8, 1.5], [8.0, 2.4, 3.2]])
 
@@ -39,3 +44,34 @@ def test_whoever_sumo_moves_elsewhere_at_once_goes_on_as_another() -> None:
 def test_whoever_leaves_and_comes_back_is_another() -> None:
     frames: list[dict[str, tuple[float, float, float, str]]] = [{"a": (0.0, 0.0, 90.0, "0")}, {}]
     assert _tracks([*frames, frames[0]], SIZES).pose.shape[1] == 2
+
+
+@pytest.fixture
+def command(tmp_path: Path) -> list[str]:
+    """Cars for a minute through a grid, and a bicycle."""
+    net = netgenerate(tmp_path / "g.net.xml", "--grid", "--grid.number", "2", "--grid.length", "100")
+    routes = (
+        '<vType id="bike" vClass="bicycle"/><trip id="b" type="bike" depart="0" from="A0A1" to="B1B0"/>'
+        '<flow id="f" from="A0A1" to="B1B0" begin="0" end="60" period="5"/>'
+    )
+    return ["-c", str(configuration(net, routes)), "--seed", "1"]
+
+
+def test_stretches_follow_each_other_until_nothing_drives(command: list[str]) -> None:
+    """Four of 10 s are one of 40 s; and all of it ends when the last car has left, long before the hour asked for."""
+    with closing(stretches(command, warm_up=5.0, seconds=10.0, most=40.0)) as found:
+        parts = list(found)
+    whole = watch(command, warm_up=5.0, seconds=40.0)
+    assert [len(part.pose) for part in parts] == [50] * 4 and len(whole.pose) == 200
+    assert whole.left_out == {"bicycle"} == parts[0].left_out
+    crowd = np.concatenate([np.isfinite(part.pose[..., 0]).sum(axis=1) for part in parts])
+    assert np.array_equal(crowd, np.isfinite(whole.pose[..., 0]).sum(axis=1)) and crowd.max() > 3
+    with closing(stretches(command, warm_up=0.0, seconds=20.0, most=3600.0)) as found:
+        assert 3 < len(list(found)) < 20
+
+
+def test_a_generator_closed_early_leaves_room_for_the_next_simulation(command: list[str]) -> None:
+    for _ in range(2):
+        with closing(stretches(command, warm_up=0.0, seconds=4.0, most=400.0)) as found:
+            next(found)
+    assert len(watch(command, warm_up=0.0, seconds=4.0).pose) == 20

@@ -103,12 +103,16 @@ def test_axes_by_hand(tmp_path: Path) -> None:
     assert sweep.hits is not None and sweep.hits.tolist() == [0, 1]  # the road is no vehicle; people are none
     everyone = V2XSim(tmp_path, categories=("vehicle", "human"))
     assert len(everyone.load("hand_7").size) == 3 and everyone.digest != source.digest
+    assert source.classes(scene) == ("vehicle.car", "vehicle.car")
+    assert everyone.classes(everyone.load("hand_7"))[2] == "human.pedestrian.adult"
 
 
 def test_a_carrier_that_is_not_annotated_gets_a_box(tmp_path: Path) -> None:
     hand_made(tmp_path, [(0.0, 0.0, 1.0)])
     edit(tmp_path, "sample_annotation", lambda records: records.pop(0))
-    scene = V2XSim(tmp_path).load("hand_7")
+    source = V2XSim(tmp_path)
+    scene = source.load("hand_7")
+    assert source.classes(scene) == ("vehicle.car", "not annotated")
     assert_allclose(scene.pose[0], [[13, 25, 0], [10, 21, 0]], atol=1e-6)  # under the LiDAR, and turned as it is
     assert scene.connected.tolist() == [1] and scene.size[1, 0] == 4.7
 
@@ -225,6 +229,11 @@ OF_A_SCENE: dict[str, tuple[Callable[[Path], Any], str, str]] = {
         lambda root: edit(root, "sample_annotation", _set("size", [1, float("nan"), 1])),
         "sample_annotation.json",
         "nan",
+    ),
+    "box turned by no rotation": (
+        lambda root: edit(root, "sample_annotation", _set("rotation", [2, 0, 0, 0])),
+        "sample_annotation.json",
+        "quaternion",
     ),
     "no instance": (
         lambda root: edit(root, "sample_annotation", _set("instance_token", "nobody")),

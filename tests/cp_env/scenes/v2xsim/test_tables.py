@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from cp_env.scenes.errors import BrokenData
 from cp_env.scenes.v2xsim import tables
 
 
@@ -34,3 +35,29 @@ def test_a_large_table_takes_little_memory(tmp_path: Path, monkeypatch: pytest.M
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < size < 5e6  # as objects it would take five times its size
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("[" * 100_000, "nested too deeply"),
+        ('[{"token": ' + "[" * 100_000, "nested too deeply"),
+        ('[{"token": ' + "9" * 5000 + "}]", "limit"),
+        ('[{"token": "' + "a" * 5_000_000, "a record of more than 1048576 characters"),
+        ('[{"token": 1}, x' + " " * 5_000_000, "a record of more than 1048576 characters"),
+        ('[{"token": 1}', "cut short"),
+        ('{"token": 1}', "no.* JSON list|not hold a JSON list"),
+        ("[1]", "record 0 is 1"),
+        ('["' + "a" * 100_000 + '"]', "record 0 is 'aaa"),
+    ],
+)
+def test_tables_that_no_memory_would_hold_are_named(tmp_path: Path, text: str, reason: str) -> None:
+    for name in tables.TABLES:
+        (tmp_path / f"{name}.json").write_text("[]")
+    (tmp_path / "scene.json").write_text(text)
+    tracemalloc.start()
+    with pytest.raises(BrokenData, match=reason) as caught:
+        list(tables.Tables(tmp_path, progress=False).read("scene", "token"))
+    assert tracemalloc.get_traced_memory()[1] < 50e6
+    tracemalloc.stop()
+    assert caught.value.file == tmp_path / "scene.json" and len(str(caught.value)) < 400
