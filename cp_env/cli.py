@@ -1,11 +1,17 @@
-"""The command `cp-env`: list and preview scenes, render an episode as a GIF, check an environment's rules."""
+"""The command `cp-env`: list and preview scenes, render an episode as a GIF, check rules, manage the cache."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from cp_env.settings import Action, Fusion, ObservationKind
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from cp_env.world.cache_folder import StoredScene
 
 
 def version() -> None:
@@ -221,6 +227,80 @@ def check(
     Console().print(f"{len(rules)} rules kept: {', '.join(rules)}")
 
 
+def cache(scenes: bool = False) -> None:
+    """Show where encoded scenes are kept, how many, and how much they take.
+
+    Args:
+        scenes: one line a scene instead of one for each source and detector.
+    """
+    from rich.console import Console
+
+    from cp_env.paths import cache_directory, cache_limit
+    from cp_env.world import cache_folder
+
+    folder, limit = cache_directory(), cache_limit()
+    stored = cache_folder.stored_scenes(cache_folder.encoded_folder())
+    Console().print(_cache_table(stored, scenes))
+    indices, earlier = ([folder / name for name in cache_folder.INDICES], cache_folder.earlier_versions(folder))
+    for what, places in (("indices of data sets", indices), ("maps of an earlier version, unused", earlier)):
+        if held := sum(map(cache_folder.size, places)):
+            Console().print(f"{what}: {held / 1e6:.1f} MB")
+    bound = (
+        "without a bound (CP_ENV_CACHE_SIZE)" if limit is None else f"bound {limit / 1e6:.0f} MB (CP_ENV_CACHE_SIZE)"
+    )
+    Console().print(f"{folder}: {sum(s.bytes for s in stored) / 1e6:.1f} MB of encoded scenes, {bound}", soft_wrap=True)
+
+
+def _cache_table(stored: list[StoredScene], scenes: bool) -> Table:
+    """A line for each source and detector, or for each scene."""
+    from datetime import datetime
+    from itertools import groupby
+
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False)
+    for column in ("source", "detector", "scene" if scenes else "scenes", "MB", "last used", "folder"):
+        table.add_column(column, justify="right" if column in ("scenes", "MB") else "left")
+    ordered = sorted(stored, key=lambda scene: (scene.key.name, scene.name if scenes else ""))
+    for _, group in groupby(ordered, key=lambda scene: scene.folder if scenes else scene.key):
+        found = list(group)
+        used = datetime.fromtimestamp(max(scene.used for scene in found)).strftime("%Y-%m-%d %H:%M")
+        what = found[0].name if scenes else str(len(found))
+        size = f"{sum(scene.bytes for scene in found) / 1e6:.1f}"
+        table.add_row(found[0].source, found[0].detector, what, size, used, found[0].key.name)
+    return table
+
+
+def cache_clear() -> None:
+    """Delete encoded scenes, those of earlier versions, and indices of data sets. They are made again when needed."""
+    from rich.console import Console
+
+    from cp_env.paths import cache_directory
+    from cp_env.world import cache_folder
+
+    freed = cache_folder.clear(cache_directory())
+    Console().print(f"{cache_directory()}: {freed / 1e6:.1f} MB deleted", soft_wrap=True)
+
+
+def cache_bound(size: str) -> None:
+    """Delete encoded scenes, those least recently used first, until the others take no more than a size.
+
+    The environment variable CP_ENV_CACHE_SIZE holds the cache to a size all the time.
+
+    Args:
+        size: such as "20GB" or "500 MB".
+    """
+    from rich.console import Console
+
+    from cp_env.paths import size_of
+    from cp_env.world import cache_folder
+
+    folder = cache_folder.encoded_folder()
+    cache_folder.sweep(folder)
+    left = cache_folder.bound(folder, size_of(size))
+    Console().print(f"{folder}: {left / 1e6:.1f} MB of encoded scenes are left", soft_wrap=True)
+
+
 def main(args: list[str] | None = None) -> None:
     """Run the console script; `args` are the command line's unless given. A command may be two words."""
     import sys
@@ -233,6 +313,9 @@ def main(args: list[str] | None = None) -> None:
         "scenes-preview": tyro.conf.configure(tyro.conf.PositionalRequiredArgs)(scenes_preview),
         "play": play,
         "check": check,
+        "cache": cache,
+        "cache-clear": cache_clear,
+        "cache-bound": tyro.conf.configure(tyro.conf.PositionalRequiredArgs)(cache_bound),
         "version": version,
     }
     args = sys.argv[1:] if args is None else args

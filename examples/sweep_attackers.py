@@ -52,7 +52,7 @@ def main(args: Args) -> None:
     for scenes, n_scenes in ((args.recipe.scenes, args.recipe.n_scenes), (args.recipe.holdout, args.recipe.n_holdout)):
         bank = open_bank(scenes, n_scenes)  # encoded here once, not by every worker
         for name in bank.source.names():
-            bank.episode(name, args.recipe.n_vehicles, rsu=False)
+            bank.episode(name, args.recipe.n_vehicles, rsu=False).encode()
     total = sum(run.recipe.n_segments * run.recipe.segment for run in runs)
     with tqdm(total=total, unit="frame", desc="learning") as bar:
         for frames in sweep(runs, args.workers):

@@ -1,51 +1,114 @@
-"""One encoded scene as N vehicles see it, and the views made of it."""
+"""One scene as N vehicles see it, computed frame by frame, and the views made of it."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Float, Shaped
+from jaxtyping import Float, Float16, Shaped
 from torch import Tensor
 
 from cp_env.detector.model.decoder import Dense
 from cp_env.detector.protocol import DetectorLike
 from cp_env.geometry.planar import grid_origin
 from cp_env.types import Scene, View
+from cp_env.world.map_store import BLOCK, MapStore
+from cp_env.world.per_frame import PerFrame
+
+
+class CleanFrame(NamedTuple):
+    """The ego's output of one frame with everyone fused and no attack."""
+
+    logits: Float16[Tensor, "h w"]
+    boxes: Float16[Tensor, "D h w"]
+    view: View
+
+
+class Clean:
+    """The clean outputs of a scene, perceived when they are first asked for: `logits[t]`, `boxes[t]`, `views[t]`."""
+
+    def __init__(self, frames: PerFrame[CleanFrame]) -> None:
+        self.logits = PerFrame(len(frames), lambda t: frames[t].logits, keep=False)
+        self.boxes = PerFrame(len(frames), lambda t: frames[t].boxes, keep=False)
+        self.views = PerFrame(len(frames), lambda t: frames[t].view, keep=False)
 
 
 @dataclass(frozen=True, eq=False)
 class Episode:
     """One scene as N vehicles sense it: maps 0..n-1 are the first n connected vehicles', the road-side unit's the last.
 
-    The ego frame of frame t is the grid frame of map 0 at t.
+    The ego frame of frame t is the grid frame of map 0 at t. What is a `PerFrame` is computed for a frame when it is
+    first asked for; so are the maps, which the store then keeps.
     """
 
     scene: Scene
-    features: tuple[Float[np.ndarray, "T C H W"], ...]  # f_E of each map's sweeps, sender's grid frame
-    received: tuple[Float[np.ndarray, "T C H W"], ...]  # the same, warped to the ego frame
+    store: MapStore
+    agents: tuple[int, ...]  # rows of a frame's sweeps
     ego_T_sender: Float[Tensor, "T N 3"]  # m, m, rad
     coverage: Float[Tensor, "T N H W"]
-    clean: Dense  # everyone fused, no attack; half precision, T views
-    clean_views: tuple[View, ...]
-    truth: tuple[Float[np.ndarray, "_ 5"], ...]  # strict: every vehicle in range, seen or hidden; ego frame
-    ego_context: Shaped[np.ndarray, "T ..."] | None = None  # of the ego, if the detector uses it
+    clean: Clean  # everyone fused, no attack; half precision
+    truth: PerFrame[Float[np.ndarray, "_ 5"]]  # strict: every vehicle in range, seen or hidden; ego frame
+    ego_context: PerFrame[Shaped[np.ndarray, "..."]] | None = None  # of the ego, if the detector uses it
+
+    @property
+    def clean_views(self) -> PerFrame[View]:
+        """The ego's view of each frame without an attack."""
+        return self.clean.views
 
     def maps(self, name: str, frame: int) -> Float[Tensor, "N C H W"]:
-        """`features` or `received` of one frame, single precision."""
-        return stack_maps([(self, frame)], name)[0]
+        """`features` or `received` of one frame, single precision, on the CPU."""
+        return stack_maps([(self, frame)], name)[0].cpu()
+
+    def encode(self) -> None:
+        """Encode now every frame that is not stored, for whoever plays the scene later."""
+        for frame in range(0, self.scene.n_frames, BLOCK):
+            self.store.maps(self.scene, self.agents, frame)
+            if self.ego_context is not None:
+                self.store.ego_context(self.scene, frame)
 
 
 def stack_maps(places: Sequence[tuple[Episode, int]], name: str) -> Float[Tensor, "E N C H W"]:
-    """`features` or `received` of E (episode, frame), single precision, each map read straight to its place."""
-    sources = [[maps[frame] for maps in getattr(episode, name)] for episode, frame in places]
-    stacked = torch.empty(len(sources), len(sources[0]), *sources[0][0].shape)
-    for rows, maps in zip(stacked, sources, strict=True):
-        for row, one in zip(rows, maps, strict=True):
-            row.copy_(torch.from_numpy(one))
+    """Single-precision maps of E (episode, frame).
+
+    Args:
+        places: the episodes and frames; all with the same N.
+        name: "features", f_E of each sweep in the sender's grid frame, on the CPU; or "received", the same warped to
+            the ego frame, on the detector's device.
+
+    Returns:
+        New tensors, nobody else's.
+    """
+    if name not in ("features", "received"):
+        raise ValueError(f'maps are "features" or "received", not {name!r}')
+    first, n_maps = places[0][0].store.detector, len(places[0][0].agents)
+    device = first.device if name == "received" else torch.device("cpu")
+    stacked = torch.empty(len(places), n_maps, first.channels, first.size, first.size, device=device)
+    for rows, (episode, frame) in zip(stacked, places, strict=True):
+        maps = episode.store.maps(episode.scene, episode.agents, frame)
+        if name == "features":
+            widen(maps, rows)
+        else:
+            rows.copy_(warp_frame(episode.store.detector, maps, episode.ego_T_sender[frame]))
     return stacked
+
+
+def widen(maps: Sequence[Float16[np.ndarray, "C H W"]], rows: Float[Tensor, "N C H W"]) -> Float[Tensor, "N C H W"]:
+    """Write half-precision maps to single-precision rows, each straight to its place."""
+    for row, one in zip(rows, maps, strict=True):
+        row.copy_(torch.from_numpy(one))
+    return rows
+
+
+@torch.no_grad()
+def warp_frame(
+    detector: DetectorLike, maps: Sequence[Float16[np.ndarray, "C H W"]], ego_T_sender: Float[Tensor, "N 3"]
+) -> Float[Tensor, "N C H W"]:
+    """One frame's maps in the ego frame, on the detector's device: warped alone, so that no neighbour changes a bit."""
+    rows = widen(maps, torch.empty(len(maps), *maps[0].shape))
+    return detector.warp(rows.to(detector.device), ego_T_sender.to(detector.device))
 
 
 def stack_ego_context(

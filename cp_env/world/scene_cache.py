@@ -1,18 +1,17 @@
-"""The cache of encoded scenes: half-precision memory maps in the user's cache directory, one encoding a scene.
+"""The episodes of a scene source under a detector: poses, maps, clean outputs and truth, computed as they are played.
 
-The cache key is a hash over the scene source and what the detector's maps depend on (`maps_digest`), so a stale entry
-cannot be read, and detectors that fuse the same maps in different ways share theirs; deleting the directory loses
-nothing but time. Processes share the files: each writes under a name of its own and then renames.
-Set the environment variable `CP_ENV_CACHE` to keep the cache elsewhere.
+Maps are kept in the user's cache directory (see `map_store`) under a hash over the scene source and what the detector's
+maps depend on (`maps_digest`). So a stale entry cannot be read, and detectors that fuse the same maps in different ways
+share theirs. Deleting the directory, at any time, loses nothing but time; a file that is broken is named and made anew.
+The environment variable `CP_ENV_CACHE` moves the cache, `CP_ENV_CACHE_SIZE` bounds it.
 """
 
 from __future__ import annotations
 
+import hashlib
 import os
-import shutil
-import uuid
-import weakref
 from collections import OrderedDict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,175 +19,127 @@ import numpy as np
 import torch
 from jaxtyping import Float, Shaped
 from torch import Tensor
-from tqdm import tqdm
 
-from cp_env.detector.model.decoder import Dense
 from cp_env.detector.protocol import DetectorLike, UsesEgoSweep, maps_digest, with_ego_context
 from cp_env.geometry.planar import grid_origin
 from cp_env.metrics.ground_truth import truth_boxes
-from cp_env.paths import cache_directory
-from cp_env.types import Endless, Scene, SceneSource, View
-from cp_env.world.episode import Episode, ego_place, make_views
-
-CHUNK = 10
-"""Frames ray-cast and encoded together; bounds the memory of a first visit."""
+from cp_env.types import Endless, Scene, SceneSource
+from cp_env.world.cache_folder import encoded_folder
+from cp_env.world.episode import Clean, CleanFrame, Episode, ego_place, make_views, warp_frame
+from cp_env.world.map_store import BLOCK, MapStore, drop
+from cp_env.world.per_frame import PerFrame
 
 KEPT = 64
 """Episodes whose clean views stay in memory; a hundred frames take about 8 MB."""
 
+LAYOUT = 1
+"""Version of what the files under a key hold."""
+
 
 class SceneBank:
-    """Encoded episodes of one source under one detector.
+    """Episodes of one source under one detector.
 
     A source with an attribute `endless` that is true gives scenes that hardly come back: their files are this bank's
-    alone, and leave the disk when they leave memory (after `KEPT` others), at the latest with the bank.
+    alone, and leave the disk when they leave memory (after `KEPT` others), at the latest with bank and episodes.
 
-    Raises ValueError when a scene holds fewer connected vehicles than asked for, or lacks a road-side unit that is.
+    Args:
+        source: of scenes and sweeps.
+        detector: the victim.
+        root: folder of encoded scenes; in the user's cache directory by default.
+        progress: whether to say on standard error that scenes are encoded, and where they are kept.
+
+    Raises:
+        ValueError: a scene holds fewer connected vehicles than asked for, or lacks a road-side unit that is; or the
+            environment variable `CP_ENV_CACHE_SIZE` is no size.
     """
 
     def __init__(
         self, source: SceneSource, detector: DetectorLike, root: Path | None = None, progress: bool = True
     ) -> None:
-        self.source, self.detector, self.progress = source, detector, progress
-        self.root = (root or cache_directory()) / f"{source.digest}-{maps_digest(detector)}"
+        self.source, self.detector = source, detector
         self.endless = isinstance(source, Endless) and source.endless
-        if self.endless:  # a folder of our own, which goes with us
-            self.root /= uuid.uuid4().hex
-            weakref.finalize(self, _drop, self.root, os.getpid())
+        self.store = MapStore(source, detector, root or encoded_folder(), _key(source, detector), progress)
         self._episodes: OrderedDict[tuple[str, int, bool], Episode] = OrderedDict()
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_episodes": OrderedDict()}
 
+    @property
+    def root(self) -> Path:
+        """The folder of this source and detector."""
+        return self.store.root
+
     def episode(self, name: str, n_vehicles: int, rsu: bool) -> Episode:
-        """The episode of scene `name`; it is encoded now, with a progress bar, unless the cache holds it."""
+        """The episode of scene `name`. Its frames are encoded when they are first asked for."""
         key = (name, n_vehicles, rsu)
         if key not in self._episodes:
             self._episodes[key] = self._build(name, n_vehicles, rsu)
         self._episodes.move_to_end(key)
         while len(self._episodes) > KEPT:
-            (scene, *_), _ = self._episodes.popitem(last=False)
+            _, left = self._episodes.popitem(last=False)
             if self.endless:
-                _drop(self.root / scene, os.getpid())
+                drop(self.store.place(left.scene), os.getpid())
         return self._episodes[key]
 
     def _build(self, name: str, n_vehicles: int, rsu: bool) -> Episode:
-        scene = self.source.load(name)
-        agents = self._agents(scene, n_vehicles, rsu)
-        self._ensure(scene, agents)
-        poses = torch.from_numpy(self._poses(scene, agents))
-        features = tuple(self._open(scene, "features", agent) for agent in agents)
-        received = tuple(self._open(scene, "received", agent) for agent in agents)
+        scene, store = self.source.load(name), self.store
+        agents, n_frames = _agents(scene, n_vehicles, rsu), scene.n_frames
+        poses = torch.from_numpy(_poses(scene, agents))
         coverage = self.detector.coverage(poses)
-        ego_context = (
-            np.load(self._path(scene, "kept", 0), mmap_mode="c", allow_pickle=False) if self._uses_ego_sweep else None
+        uses_sweep = isinstance(self.detector, UsesEgoSweep)
+        context = PerFrame(n_frames, partial(store.ego_context, scene), keep=False) if uses_sweep else None
+        clean = PerFrame(n_frames, partial(_clean, store, scene, agents, poses, coverage, context))
+        ego, extent = int(scene.connected[0]), self.detector.extent
+        truth = PerFrame(n_frames, lambda t: truth_boxes(scene, t, ego, extent))
+        store.touch(scene)
+        return Episode(scene, store, agents, poses, coverage, Clean(clean), truth, context)
+
+
+def _key(source: SceneSource, detector: DetectorLike) -> str:
+    """Names what the maps of a source under a detector depend on: their last bits on the kind of device, too."""
+    parts = (LAYOUT, BLOCK, source.digest, maps_digest(detector), detector.device.type)
+    return hashlib.sha256(repr(parts).encode()).hexdigest()[:24]
+
+
+def _agents(scene: Scene, n_vehicles: int, rsu: bool) -> tuple[int, ...]:
+    """Rows of a frame's sweeps: the first n connected vehicles, then the road-side unit."""
+    if n_vehicles > scene.n_connected:
+        raise ValueError(
+            f"n_vehicles = {n_vehicles}, but scene {scene.name!r} holds only {scene.n_connected} connected "
+            "vehicles; lower n_vehicles or choose other scenes"
         )
-        clean, views = self._clean(scene, received, coverage, ego_context)
-        truth = tuple(
-            truth_boxes(scene, t, int(scene.connected[0]), self.detector.extent) for t in range(scene.n_frames)
-        )
-        return Episode(scene, features, received, poses, coverage, clean, views, truth, ego_context)
-
-    @property
-    def _uses_ego_sweep(self) -> bool:
-        return isinstance(self.detector, UsesEgoSweep)
-
-    def _agents(self, scene: Scene, n_vehicles: int, rsu: bool) -> list[int]:
-        """Rows of a frame's sweeps: the first n connected vehicles, then the road-side unit."""
-        if n_vehicles > scene.n_connected:
-            raise ValueError(
-                f"n_vehicles = {n_vehicles}, but scene {scene.name!r} holds only {scene.n_connected} connected "
-                "vehicles; lower n_vehicles or choose other scenes"
-            )
-        if rsu and scene.rsu is None:
-            raise ValueError(f"scene {scene.name!r} has no road-side unit; use rsu=False or choose other scenes")
-        return [*range(n_vehicles), *([scene.n_connected] if rsu else [])]
-
-    def _poses(self, scene: Scene, agents: list[int]) -> Float[np.ndarray, "T N 3"]:
-        """ego_T_sender: grid frames are parallel to the world's and on one lattice: a shift by whole cells."""
-        sensors = scene.pose[:, scene.connected, :2]
-        if scene.rsu is not None:
-            mast = np.broadcast_to(scene.rsu[:2], (scene.n_frames, 1, 2))
-            sensors = np.concatenate([sensors, mast], axis=1)
-        shift = grid_origin(sensors[:, agents]) - grid_origin(sensors[:, :1])
-        return np.concatenate([shift, np.zeros_like(shift[..., :1])], axis=-1).astype(np.float32)
-
-    def _path(self, scene: Scene, kind: str, agent: int) -> Path:
-        return self.root / scene.name / f"{kind}-{agent}.npy"
-
-    def _open(self, scene: Scene, kind: str, agent: int) -> Float[np.ndarray, "T C H W"]:
-        path = self._path(scene, kind, agent)
-        shape = (scene.n_frames, self.detector.channels, self.detector.size, self.detector.size)
-        try:
-            maps: np.ndarray = np.load(
-                path, mmap_mode="c", allow_pickle=False
-            )  # torch wants it writable; "c" writes nowhere
-            if maps.shape != shape or maps.dtype != np.float16:
-                raise ValueError(f"it holds {maps.dtype} {maps.shape}, not float16 {shape}")
-        except (ValueError, OSError, EOFError) as error:
-            raise ValueError(f"broken cache file {path}: {error}; delete it, it will be made again") from error
-        return maps
-
-    def _ensure(self, scene: Scene, agents: list[int]) -> None:
-        """Encode and warp the maps of the agents that have no files yet."""
-        missing = [a for a in agents if not self._path(scene, "received", a).exists()]
-        if not missing:
-            return
-        detector = self.detector
-        shape = (scene.n_frames, detector.channels, detector.size, detector.size)
-        made = {(kind, a): np.empty(shape, np.float16) for kind in ("features", "received") for a in missing}
-        ego_context: list[Tensor] = []
-        poses = torch.from_numpy(self._poses(scene, missing if 0 in missing else [0, *missing])[:, -len(missing) :])
-        starts = range(0, scene.n_frames, CHUNK)
-        for start in tqdm(starts, f"encoding {scene.name}", leave=False, disable=not self.progress, unit_scale=CHUNK):
-            frames = range(start, min(start + CHUNK, scene.n_frames))
-            sweeps = self.source.sweeps(scene, frames)
-            with torch.inference_mode():
-                flat = detector.encode([sweeps[f][a] for f in range(len(frames)) for a in missing])
-                maps = flat.reshape(len(frames), len(missing), *flat.shape[1:])
-                warped = detector.warp(maps, poses[frames.start : frames.stop].to(maps.device))
-                if isinstance(detector, UsesEgoSweep):
-                    ego_context.append(detector.ego_context([of_all[0] for of_all in sweeps]).cpu())
-            for column, agent in enumerate(missing):
-                made["features", agent][frames.start : frames.stop] = maps[:, column].cpu().numpy()
-                made["received", agent][frames.start : frames.stop] = warped[:, column].cpu().numpy()
-        if ego_context:
-            self._write(self._path(scene, "kept", 0), torch.cat(ego_context).numpy())
-        for (kind, agent), array in made.items():  # "features" first: its presence is implied by "received"
-            self._write(self._path(scene, kind, agent), array)
-
-    def _write(self, path: Path, array: np.ndarray) -> None:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        draft = path.with_name(f".{path.stem}-{uuid.uuid4().hex}.npy")
-        np.save(draft, array, allow_pickle=False)
-        draft.replace(path)
-
-    def _clean(
-        self,
-        scene: Scene,
-        received: tuple[np.ndarray, ...],
-        coverage: Float[Tensor, "T N H W"],
-        ego_context: Shaped[np.ndarray, "T ..."] | None,
-    ) -> tuple[Dense, tuple[View, ...]]:
-        """The ego's output and view of every frame without an attack."""
-        device = self.detector.device
-        first = torch.zeros(1, dtype=torch.long, device=device)
-        everyone = torch.ones(1, len(received), dtype=torch.bool, device=device)
-        group, views, logits, boxes = frozenset(range(len(received))), [], [], []
-        for t in range(scene.n_frames):
-            maps = torch.stack([torch.from_numpy(m[t]) for m in received]).float()[None]
-            detector = with_ego_context(
-                self.detector, None if ego_context is None else torch.from_numpy(ego_context[t : t + 1])
-            )
-            with torch.inference_mode():
-                dense = detector.perceive(maps.to(device), coverage[t : t + 1].to(device), first, everyone)
-                views += make_views(self.detector, dense, [group], [t], [ego_place(scene, t)])
-            logits.append(dense.logits.half().cpu())
-            boxes.append(dense.boxes.half().cpu())
-        return Dense(torch.cat(logits).clone(), torch.cat(boxes).clone()), tuple(views)
+    if rsu and scene.rsu is None:
+        raise ValueError(f"scene {scene.name!r} has no road-side unit; use rsu=False or choose other scenes")
+    return (*range(n_vehicles), *([scene.n_connected] if rsu else []))
 
 
-def _drop(folder: Path, owner: int) -> None:
-    """Delete a folder, unless a fork of the process that owns it calls."""
-    if os.getpid() == owner:
-        shutil.rmtree(folder, ignore_errors=True)
+def _poses(scene: Scene, agents: tuple[int, ...]) -> Float[np.ndarray, "T N 3"]:
+    """ego_T_sender: grid frames are parallel to the world's and on one lattice: a shift by whole cells."""
+    sensors = scene.pose[:, scene.connected, :2]
+    if scene.rsu is not None:
+        mast = np.broadcast_to(scene.rsu[:2], (scene.n_frames, 1, 2))
+        sensors = np.concatenate([sensors, mast], axis=1)
+    shift = grid_origin(sensors[:, agents]) - grid_origin(sensors[:, :1])
+    return np.concatenate([shift, np.zeros_like(shift[..., :1])], axis=-1).astype(np.float32)
+
+
+def _clean(
+    store: MapStore,
+    scene: Scene,
+    agents: tuple[int, ...],
+    poses: Float[Tensor, "T N 3"],
+    coverage: Float[Tensor, "T N H W"],
+    ego_context: PerFrame[Shaped[np.ndarray, "..."]] | None,
+    t: int,
+) -> CleanFrame:
+    """The ego's output of frame t without an attack."""
+    context = None if ego_context is None else torch.from_numpy(ego_context[t][None])
+    detector, device = with_ego_context(store.detector, context), store.detector.device
+    maps = warp_frame(store.detector, store.maps(scene, agents, t), poses[t])[None]
+    first = torch.zeros(1, dtype=torch.long, device=device)
+    everyone = torch.ones(1, len(agents), dtype=torch.bool, device=device)
+    with torch.inference_mode():
+        dense = detector.perceive(maps, coverage[t : t + 1].to(device), first, everyone)
+        (view,) = make_views(store.detector, dense, [frozenset(range(len(agents)))], [t], [ego_place(scene, t)])
+    with torch.inference_mode(mode=False):  # whoever asks first, these are ordinary tensors
+        return CleanFrame(dense.logits[0].half().cpu().clone(), dense.boxes[0].half().cpu().clone(), view)

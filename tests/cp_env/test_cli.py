@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -9,7 +10,9 @@ from PIL import Image
 
 import cp_env
 from cp_env.cli import main
+from cp_env.detector import load_detector
 from cp_env.scenes.export import export
+from cp_env.world.scene_cache import SceneBank
 from tests.helpers.toy_scenes import ToySource
 
 
@@ -45,6 +48,36 @@ def test_check_names_the_rules(toy_town: None, capsys: pytest.CaptureFixture[str
     main(["check", "--defender", "ego_only", "--action", "basis", "--max-frames", "2", "--steps", "3"])
     told = " ".join(capsys.readouterr().out.split())
     assert "26 rules kept: spaces_are_fixed" in told and "rendering_changes_nothing" in told
+
+
+def test_the_cache_is_shown_bounded_and_cleared(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CP_ENV_CACHE", str(tmp_path))
+    monkeypatch.setenv("COLUMNS", "200")
+    bank = SceneBank(ToySource(n_frames=3), load_detector(), progress=False)
+    for used, name in enumerate(("toy-0", "toy-1")):
+        bank.episode(name, 2, False).encode()
+        os.utime(bank.root / name, (1e9 + used, 1e9 + used))
+    size = sum(path.stat().st_size for path in bank.root.rglob("*.maps"))
+
+    def told(*args: str) -> str:
+        main(["cache", *args])
+        return capsys.readouterr().out
+
+    (row,) = (line for line in told().splitlines() if bank.root.name in line)
+    assert row.split()[:4] == ["toy", "Detector", "2", f"{size / 1e6:.1f}"]
+    assert ["toy-0" in line or "toy-1" in line for line in told("--scenes").splitlines()].count(True) == 2
+    assert "without a bound" in told()
+    monkeypatch.setenv("CP_ENV_CACHE_SIZE", "5 GB")
+    assert "bound 5000 MB" in told()
+    assert f"{size / 2e6:.1f} MB of encoded scenes are left" in told("bound", f"{size * 0.7 / 1e6} MB")
+    assert "toy-1" in told("--scenes") and "toy-0" not in told("--scenes"), "the one used last stays"
+    (tmp_path / "mine.txt").write_text("not the library's")
+    assert "MB deleted" in told("clear")
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
+    with pytest.raises(SystemExit, match="cp-env: a size is a number with"):
+        main(["cache", "bound", "plenty"])
 
 
 def test_bad_input_is_told_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:

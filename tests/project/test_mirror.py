@@ -14,7 +14,7 @@ REASONS = {
     "cp_env/types.py": "declarations",
     "cp_env/attack.py": "declarations",
     "cp_env/envs/actions/base.py": "declarations; laws over the family in test_registry and test_guided",
-    "cp_env/paths.py": "two lines; every session of the tests sets the variable",
+    "cp_env/paths.py": "world/test_cache_folder.py",
     "cp_env/envs/core.py": "test_parallel, test_single and test_vector are views of it",
     "cp_env/envs/render_mixin.py": "test_parallel, test_single and test_vector",
     "cp_env/rendering/camera.py": "rendering/test_frame.py and envs/test_parallel.py",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,8 @@ import torch
 from cp_env.detector import Detector, load_detector
 from cp_env.detector.model.fusion import FUSIONS
 from cp_env.detector.protocol import SharesMaps
+from cp_env.world.cache_folder import stored_scenes
+from cp_env.world.episode import stack_maps
 from cp_env.world.scene_cache import SceneBank
 from examples.bring_your_own_detector import Toy
 from tests.helpers.toy_scenes import ToySource
@@ -35,26 +38,76 @@ def test_the_cache_gives_back_the_same_bits(fresh: SceneBank, detector: Detector
     again = SceneBank(fresh.source, detector, fresh.root.parent, progress=False).episode("toy-0", 4, False)
     for t in range(3):
         assert torch.equal(first.maps("received", t), again.maps("received", t))
-    assert torch.equal(first.clean.logits, again.clean.logits)
+        assert torch.equal(first.clean.logits[t], again.clean.logits[t])
+        assert torch.equal(first.clean.boxes[t], again.clean.boxes[t])
+        assert np.array_equal(first.clean_views[t].score_map, again.clean_views[t].score_map)
 
 
 def test_more_vehicles_reuse_what_is_there(fresh: SceneBank) -> None:
-    fresh.episode("toy-0", 2, False)
-    stamps = {path: path.stat().st_mtime_ns for path in fresh.root.rglob("*.npy")}
+    fresh.episode("toy-0", 2, False).encode()
+    stamps = {path: path.stat().st_mtime_ns for path in fresh.root.rglob("*.maps")}
     larger = fresh.episode("toy-0", 4, True)
-    assert all(path.stat().st_mtime_ns == stamp for path, stamp in stamps.items())
+    larger.encode()
+    assert stamps and all(path.stat().st_mtime_ns == stamp for path, stamp in stamps.items())
     alone = SceneBank(fresh.source, fresh.detector, fresh.root / "elsewhere", progress=False).episode("toy-0", 4, True)
-    np.testing.assert_allclose(larger.maps("received", 2), alone.maps("received", 2), atol=2e-3)
+    assert torch.equal(larger.maps("received", 2), alone.maps("received", 2))
+
+
+def test_what_is_received_is_the_warped_map(fresh: SceneBank) -> None:
+    """Grid frames differ by whole cells: nothing is lost by storing maps before the warp. Batches change no bit."""
+    episode = fresh.episode("toy-1", 4, True)
+    for t in range(3):
+        features, pose = episode.maps("features", t), episode.ego_T_sender[t]
+        assert torch.equal(features, features.half().float())
+        assert torch.equal(episode.maps("received", t), fresh.detector.warp(features, pose))
+        assert torch.equal(episode.maps("received", t)[0], features[0])
+    places = [(episode, t) for t in (2, 0, 1)]
+    for name in ("features", "received"):
+        stacked = stack_maps(places, name)
+        assert all(torch.equal(row, e.maps(name, t)) for row, (e, t) in zip(stacked, places, strict=True))
+    with pytest.raises(ValueError, match=r'maps are "features" or "received", not \'sent\''):
+        stack_maps(places, "sent")
+
+
+def test_what_is_handed_out_is_nobody_elses(fresh: SceneBank) -> None:
+    episode = fresh.episode("toy-0", 3, False)
+    for name in ("features", "received"):
+        before = episode.maps(name, 1).clone()
+        episode.maps(name, 1).fill_(7.0)
+        assert torch.equal(episode.maps(name, 1), before)
+
+
+def test_only_frames_that_are_played_are_encoded(detector: Detector, tmp_path: Path) -> None:
+    """An episode is made without any; a frame brings its block of five."""
+    bank = SceneBank(ToySource(n_frames=12), detector, tmp_path, progress=False)
+    episode = bank.episode("toy-0", 2, False)
+    assert not bank.root.exists()
+    view = episode.clean_views[6]
+    assert {path.name for path in bank.root.rglob("*.maps")} == {"map-0-5.maps", "map-1-5.maps"}
+    assert view.frame == 6 and view.group == {0, 1} and episode.clean_views[6] is view
+
+
+def test_clean_output_is_what_the_detector_perceives(fresh: SceneBank) -> None:
+    """Whoever asks first, in inference mode or not, gets ordinary tensors with the same numbers."""
+    episode = fresh.episode("toy-0", 3, False)
+    with torch.inference_mode():
+        inside = episode.clean.logits[1]
+    assert not inside.is_inference() and not episode.clean.boxes[1].is_inference()
+    received, coverage = episode.maps("received", 1)[None], episode.coverage[1:2]
+    dense = fresh.detector.perceive(received, coverage, torch.tensor([0]), torch.ones(1, 3, dtype=torch.bool))
+    assert torch.equal(inside, dense.logits[0].half()) and torch.equal(episode.clean.boxes[1], dense.boxes[0].half())
+    assert np.array_equal(episode.clean_views[1].score_map, dense.scores[0])
 
 
 def test_fusions_of_one_encoder_share_their_maps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     source = ToySource(n_frames=2)
     first = SceneBank(source, load_detector("mean"), tmp_path, progress=False).episode("toy-0", 3, False)
+    first.encode()
     monkeypatch.setattr(Detector, "encode", lambda *_: pytest.fail("encoded again"))
     for name in sorted(FUSIONS.keys() - {"mean"}):
         episode = SceneBank(source, load_detector(name), tmp_path, progress=False).episode("toy-0", 3, False)
         assert torch.equal(episode.maps("received", 1), first.maps("received", 1))
-        assert not torch.equal(episode.clean.logits, first.clean.logits), "what the ego sees is each fusion's own"
+        assert not torch.equal(episode.clean.logits[1], first.clean.logits[1]), "what the ego sees is each fusion's own"
     assert len(list(tmp_path.iterdir())) == 1
 
 
@@ -73,12 +126,27 @@ def test_others_maps_are_never_shared(detector: Detector, tmp_path: Path) -> Non
     assert len({bank.root for bank in banks}) == len(banks)
 
 
-def test_a_broken_file_is_named(fresh: SceneBank) -> None:
-    fresh.episode("toy-0", 2, False)
-    victim = next(fresh.root.rglob("received-1.npy"))
-    victim.write_bytes(victim.read_bytes()[:1000])
-    with pytest.raises(ValueError, match=r"broken cache file .*received-1\.npy.*delete it"):
-        SceneBank(fresh.source, fresh.detector, fresh.root.parent, progress=False).episode("toy-0", 2, False)
+def test_another_kind_of_device_has_maps_of_its_own(detector: Detector, tmp_path: Path) -> None:
+    """Its last bits may differ, and a run on the CPU must not depend on what was played before it."""
+
+    class Movable(Toy):
+        device = torch.device("cpu")
+
+    def root(device: str) -> Path:
+        Movable.device = torch.device(device)
+        return SceneBank(ToySource(n_frames=2), Movable().freeze(), tmp_path).root
+
+    assert root("cpu") == root("cpu") != root("meta")
+
+
+def test_a_scene_that_is_used_is_the_last_that_a_bound_deletes(fresh: SceneBank) -> None:
+    for name in ("toy-0", "toy-1"):
+        fresh.episode(name, 2, False).encode()
+    for place in fresh.root.iterdir():
+        os.utime(place, (1.0, 1.0))
+    again = SceneBank(fresh.source, fresh.detector, fresh.root.parent, progress=False)
+    again.episode("toy-0", 2, False)
+    assert [scene.name for scene in stored_scenes(fresh.root.parent)] == ["toy-1", "toy-0"]
 
 
 def test_more_vehicles_than_the_scene_holds(fresh: SceneBank) -> None:
