@@ -16,6 +16,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
 
 import agents.protocol  # noqa: F401 (it refuses to work beside a package of the same name)
+from cp_env.envs.actions.base import real_numbers
 from cp_env.envs.core import Game, Infos
 from cp_env.envs.joint import join, joint_space
 from cp_env.settings import Options
@@ -83,9 +84,14 @@ class AdversaryVecEnv(VecEnv):
         self.reset_infos = self._rows(infos)
         return self._flat(observations)
 
-    def step_async(self, actions: NDArray[Any]) -> None:
+    def step_async(self, actions: Any) -> None:
         """Keep the actions (n, …) for `step_wait`."""
-        self._actions = np.asarray(actions)
+        numbers = real_numbers(actions, "the actions")
+        if numbers.shape != (self.num_envs, *(self.action_space.shape or ())):
+            raise ValueError(
+                f"actions must have shape {(self.num_envs, *(self.action_space.shape or ()))}, not {numbers.shape}"
+            )
+        self._actions = numbers
 
     def step_wait(self) -> VecEnvStepReturn:
         """One frame of every world: observations, rewards (n,), dones (n,) and infos."""

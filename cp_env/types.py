@@ -65,6 +65,15 @@ class Detections:
         return Detections(self.boxes[keep], self.scores[keep])
 
 
+def frozen(array: np.ndarray) -> np.ndarray:
+    """A copy that cannot be written, nor made writable: it lies over immutable bytes."""
+    if array.size == 0:
+        empty = np.zeros(array.shape, array.dtype)
+        empty.flags.writeable = False
+        return empty
+    return np.frombuffer(array.tobytes(), dtype=array.dtype).reshape(array.shape)
+
+
 @dataclass(frozen=True, eq=False)
 class View:
     """The ego's output when it fuses one group of maps. Opaque to defenders: they hold it and compare it."""
@@ -75,6 +84,14 @@ class View:
     detections: Detections  # every box down to the decoder's floor, for AP
     seen: Detections = field(repr=False)  # those at or above the operating threshold: what the ego acts on
     score_map: Float[np.ndarray, "h w"] = field(repr=False)  # per-cell probability of a vehicle centre
+
+    def __post_init__(self) -> None:
+        """Views are handed to plug-ins and kept from frame to frame: their arrays are read-only copies."""
+        for name in ("origin", "score_map"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+        for name in ("detections", "seen"):
+            found: Detections = getattr(self, name)
+            object.__setattr__(self, name, Detections(frozen(found.boxes), frozen(found.scores)))
 
 
 @runtime_checkable

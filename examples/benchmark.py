@@ -63,7 +63,7 @@ def main(args: Args) -> None:
     workers = evaluation.Workers(make_attack=make_attack, processes=args.workers, threads=args.threads)
     store = evaluation.Store(args.out, evaluation.open_bank(conditions).detector.digest)
     with Bars(console) as bars:
-        bars.count("encoding", evaluation.prepare(runs, conditions, workers), len(conditions.names))
+        bars.count("opening", evaluation.prepare(runs, conditions, workers), len(conditions.names))
         bars.count("playing", evaluation.execute(runs, conditions, store, workers), len(runs), run_label)
     rows = evaluation.summarise(store.load(runs, conditions))
     command = shlex.join(["python", *sys.argv])

@@ -88,7 +88,7 @@ def play(args: Args, command: str, console: Console) -> ArenaResults:
         ray=None if args.ray is None else "".join(args.ray),
     )
     with Bars(console) as bars, nullcontext() if workers.ray is None else joined(workers.ray):
-        _encode(grids, workers, bars)
+        _open(grids, workers, bars)
         jobs, failed = jobs_of(grids), ""
         try:
             bars.count("playing", evaluation.execute_all(jobs, workers), len(jobs), lambda job: run_label(job[0]))
@@ -156,14 +156,14 @@ def provenance(args: Args, results: ArenaResults, command: str) -> dict[str, Any
     )
 
 
-def _encode(grids: Sequence[Grid], workers: evaluation.Workers, bars: Bars) -> None:
-    """Check every entry, and encode every scene once for each fusion."""
+def _open(grids: Sequence[Grid], workers: evaluation.Workers, bars: Bars) -> None:
+    """Check every entry, and open every scene once for each fusion."""
     for fusion in dict.fromkeys(grid.conditions.fusion for grid in grids):
         mine = [grid for grid in grids if grid.conditions.fusion == fusion]
         names = tuple(dict.fromkeys(name for grid in mine for name in grid.conditions.names))
         conditions = replace(mine[0].conditions, names=names)
         runs = [run for grid in mine for run in grid.runs]
-        bars.count("encoding", evaluation.prepare(runs, conditions, workers), len(names))
+        bars.count("opening", evaluation.prepare(runs, conditions, workers), len(names))
 
 
 if __name__ == "__main__":

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from cp_env.evaluation import Conditions
 from cp_env.scenes import open_source
+from cp_env.world.streams import PUBLIC_KEY
 
 
 @dataclass(frozen=True)
@@ -23,6 +25,8 @@ class CommonOptions:
     protocol: str = "strict"  # how AP is counted: "strict" or "coperception"
     batch: int = 4  # scenes in lock-step
     threads: int = 1  # torch threads of each process
+    sealed: bool = False  # each defender in a process of its own, which holds handles instead of views
+    key: Path | None = None  # a file with a long secret text, so that nobody can work out the episodes from the seeds
 
     def on_scenes(self, **settings: Any) -> Conditions:
         """The conditions of the scenes that are played.
@@ -41,8 +45,28 @@ class CommonOptions:
             ap=self.protocol,
             weights=self.weights,
             detector=self.detector,
+            sealed=self.sealed,
+            key=PUBLIC_KEY if self.key is None else read_key(self.key),
             **settings,
         )
+
+
+def read_key(path: Path) -> str:
+    """The key of a hidden benchmark, from its file.
+
+    Raises:
+        ValueError: no such file, or a text that could be guessed: fewer than 32 characters.
+    """
+    try:
+        key = path.read_text(encoding="utf-8").strip()
+    except (OSError, UnicodeDecodeError) as error:
+        raise ValueError(f"cannot read the key in {path} ({error})") from error
+    if len(key) < 32:
+        raise ValueError(
+            f"the key in {path} has {len(key)} characters and could be guessed; 32 is the least. "
+            "Make one by: openssl rand -hex 32"
+        )
+    return key
 
 
 def spread(names: Sequence[str], wanted: int | None) -> tuple[str, ...]:

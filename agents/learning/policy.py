@@ -13,17 +13,20 @@ from typing import Any
 import numpy as np
 import torch
 from jaxtyping import Float
-from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
 from agents.learning.lstm import Memory
+from cp_env.detector.model.tensors import read_tensors
+from cp_env.scenes.formats.bounded import parse_json
 
 FOLDER = Path(__file__).parent / "policies"
 FORMAT = "cp_env policy 3"
 
 ABOUT = ("defender", "options", "notes", "joint")
+_KINDS = {"defender": str, "options": dict, "notes": dict, "joint": bool, "format": str}
 MEMORY = ("weight_ih", "weight_hh", "bias_ih", "bias_hh")
+MAX_LOG_STD = 20.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +112,8 @@ def load_policy(name: str | Path) -> Policy:
         The policy.
 
     Raises:
-        ValueError: unknown name, missing file, broken file, or one of another format.
+        ValueError: unknown name, missing file, broken file, or one of another format; a tensor that is missing, not
+            asked for, of the wrong shape or type, or holds a number that is not finite.
     """
     path = Path(name)
     if path.suffix != ".safetensors":
@@ -118,21 +122,68 @@ def load_policy(name: str | Path) -> Policy:
                 f"unknown policy {str(name)!r}; known: {', '.join(policy_names())}; or give a .safetensors file"
             )
         path = FOLDER / f"{name}.safetensors"
-    if not path.is_file():
-        raise ValueError(f"no policy at {path}: the file is missing; train one with examples/train_attacker.py")
     try:
-        with safe_open(path, framework="pt") as file:
-            about = json.loads((file.metadata() or {}).get("about", "{}"))
-            tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 (not a dict)
-    except (SafetensorError, OSError, json.JSONDecodeError) as error:
+        notes, tensors = read_tensors(path)
+        about = parse_json(notes.get("about", "{}"))
+    except FileNotFoundError as error:
+        raise ValueError(
+            f"no policy at {path}: the file is missing; train one with examples/train_attacker.py"
+        ) from error
+    except (OSError, ValueError) as error:
         raise ValueError(f"cannot read the policy in {path}: {error}; the file is broken") from error
-    if about.pop("format", None) != FORMAT:
+    if not isinstance(about, dict) or about.get("format") != FORMAT:
         raise ValueError(f"{path} is no policy of the format {FORMAT!r}; train one anew")
-    layers = range(sum(key.endswith(".weight") for key in tensors))
+    if {key: type(value) for key, value in about.items()} != _KINDS:
+        raise ValueError(f"{path} is no policy: it must say {', '.join(_KINDS)}, each of its type; train one anew")
+    _check_tensors(path, tensors)
+    layers = range((len(tensors) - 1 - len(MEMORY) * (f"memory.{MEMORY[0]}" in tensors)) // 2)
     return Policy(
         weights=tuple(tensors[f"{layer}.weight"] for layer in layers),
         biases=tuple(tensors[f"{layer}.bias"] for layer in layers),
         log_std=tensors["log_std"],
         memory=Memory(*(tensors[f"memory.{name}"] for name in MEMORY)) if f"memory.{MEMORY[0]}" in tensors else None,
-        **about,
+        **{name: about[name] for name in ABOUT},
     )
+
+
+def _check_tensors(path: Path, tensors: dict[str, Tensor]) -> None:
+    """ValueError unless these are the tensors of a policy: all of them, no other, of shapes that fit, finite."""
+    wanted: dict[str, tuple[int, ...]] = {}
+    width = None  # numbers that come out of the part before
+    if any(key.startswith("memory.") for key in tensors):
+        gates, width = _shape(path, tensors, "memory.weight_hh")
+        n_inputs = _shape(path, tensors, "memory.weight_ih")[1]
+        if gates != 4 * width:
+            raise ValueError(
+                f"{path} is no policy: memory.weight_hh has shape ({gates}, {width}), not (4h, h); train one anew"
+            )
+        shapes = (gates, n_inputs), (gates, width), (gates,), (gates,)
+        wanted |= {f"memory.{name}": shape for name, shape in zip(MEMORY, shapes, strict=True)}
+    for layer in range(max(1, sum(key.partition(".")[2] == "weight" for key in tensors))):
+        n_out, n_in = _shape(path, tensors, f"{layer}.weight")
+        wanted |= {f"{layer}.weight": (n_out, n_in if width is None else width), f"{layer}.bias": (n_out,)}
+        width = n_out
+    assert width is not None
+    wanted["log_std"] = (width,)
+    if wrong := sorted(wanted.keys() ^ tensors.keys()):
+        what = "lacks" if wrong[0] in wanted else "holds, beside its own,"
+        raise ValueError(f"{path} is no policy: it {what} the tensor {wrong[0][:80]!r}; train one anew")
+    for key, shape in wanted.items():
+        if tuple(tensors[key].shape) != shape or tensors[key].dtype != torch.float32:
+            raise ValueError(
+                f"{path} is no policy: {key} is {tuple(tensors[key].shape)} of {tensors[key].dtype}, not {shape} of "
+                "torch.float32; train one anew"
+            )
+        if not bool(torch.isfinite(tensors[key]).all()):
+            raise ValueError(f"{path} is no policy: {key} holds numbers that are not finite; train one anew")
+    if bool((tensors["log_std"] > MAX_LOG_STD).any()):
+        raise ValueError(f"{path} is no policy: log_std must be at most {MAX_LOG_STD}; train one anew")
+
+
+def _shape(path: Path, tensors: dict[str, Tensor], key: str) -> tuple[int, int]:
+    """Rows and columns of a matrix, at least one each."""
+    shape = tuple(tensors[key].shape) if key in tensors else ()
+    if len(shape) != 2 or 0 in shape:
+        has = f"has shape {shape}" if key in tensors else "is missing"
+        raise ValueError(f"{path} is no policy: the matrix {key} {has}; train one anew")
+    return shape[0], shape[1]

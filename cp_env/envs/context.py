@@ -90,13 +90,13 @@ class Column:
 
 
 def _x(moment: Moment, axis: int) -> np.ndarray:
-    pose = moment.world.situation().ego_T_sender.cpu().numpy()
+    pose = moment.world.current().ego_T_sender.cpu().numpy()
     shift: np.ndarray = np.take_along_axis(pose, moment.slots.vehicle[..., None], axis=1)[..., axis] / SCALE
     return shift
 
 
 def _active(moment: Moment) -> np.ndarray:
-    active: np.ndarray = moment.world.situation().active.cpu().numpy()
+    active: np.ndarray = moment.world.current().active.cpu().numpy()
     return active
 
 
@@ -127,11 +127,11 @@ def _suspects(moment: Moment) -> np.ndarray:
 
 
 def _scene(moment: Moment) -> np.ndarray:
-    return pooled(moment.world.situation().clean.scores[:, None])[:, 0] * POOL**2
+    return pooled(moment.world.current().clean.scores[:, None])[:, 0] * POOL**2
 
 
 def _clock(moment: Moment) -> np.ndarray:
-    elapsed: np.ndarray = moment.world.situation().frame / moment.settings.max_frames
+    elapsed: np.ndarray = moment.world.current().frame / moment.settings.max_frames
     return elapsed
 
 

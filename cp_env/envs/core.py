@@ -21,6 +21,7 @@ from cp_env.settings import Options
 from cp_env.world.reset import ResetOptions, Seed
 from cp_env.world.scene_cache import SceneBank
 from cp_env.world.situation import FRAME_METRICS, Clock, Outcome
+from cp_env.world.streams import PUBLIC_KEY
 from cp_env.world.world import World
 from defenders.protocol import Defender
 
@@ -56,9 +57,10 @@ class Game:
         *,
         bank: SceneBank | None = None,
         clock: Clock = time.perf_counter,
+        key: str = PUBLIC_KEY,
         **options: Unpack[Options],
     ) -> None:
-        self.world = World(num_envs, defender=defender, bank=bank, clock=clock, **options)
+        self.world = World(num_envs, defender=defender, bank=bank, clock=clock, key=key, **options)
         self.settings, self.num_envs = self.world.settings, num_envs
         settings = self.settings
         if settings.k == 0:
@@ -114,7 +116,7 @@ class Game:
     ) -> tuple[Observation, Float[np.ndarray, "E S"], Bool[np.ndarray, " E"], Infos]:
         """Play one frame: observations, team rewards, truncations (of worlds) and infos."""
         checked = self._map.checked(actions, (self.num_envs, len(self.slots)))
-        delta = self._map(self._attacker_rows(checked), self.world.situation())
+        delta = self._map(self._attacker_rows(checked), self.world.current())
         self.outcome = self.world.step(delta)
         self._camera.record(self.outcome)
         self._fresh[:] = False

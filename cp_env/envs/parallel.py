@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, Unpack
 
 import numpy as np
@@ -13,6 +13,7 @@ from jaxtyping import Float
 from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
+from cp_env.envs.actions.base import real_numbers
 from cp_env.envs.core import Game
 from cp_env.envs.joint import Observation, world
 from cp_env.envs.render_mixin import RENDER_FPS, RENDER_MODES, RenderMixin
@@ -78,7 +79,7 @@ class CollaborativePerceptionEnv(RenderMixin, ParallelEnv[str, Observation, NDAr
         return self._by_agent(observations), self._numbers(infos)
 
     def step(
-        self, actions: dict[str, Any]
+        self, actions: Any
     ) -> tuple[dict[str, Observation], dict[str, float], dict[str, bool], dict[str, bool], Infos]:
         """One frame: every agent perturbs, the defender inspects, the ego drives on. The time limit is a truncation.
 
@@ -106,17 +107,19 @@ class CollaborativePerceptionEnv(RenderMixin, ParallelEnv[str, Observation, NDAr
         return self.game.state(0).copy()
 
     def _known(self, agent: str) -> str:
-        if agent not in self._action_spaces:
+        if not isinstance(agent, str) or agent not in self._action_spaces:
             raise ValueError(f"no agent {agent!r}; the agents are {self.possible_agents}")
         return agent
 
-    def _stack(self, actions: dict[str, Any]) -> NDArray[Any]:
+    def _stack(self, actions: Any) -> NDArray[Any]:
+        if not isinstance(actions, Mapping):
+            raise ValueError(f"step() takes a dict from agent to action, not {type(actions).__name__}")
         for name in actions:
             self._known(name)
         missing = [name for name in self.possible_agents if name not in actions]
         if missing:
             raise ValueError(f"step() needs an action of every agent; none was given for {missing}")
-        rows = [np.asarray(actions[name], dtype=np.float32) for name in self.possible_agents]
+        rows = [real_numbers(actions[name], f"the action of {name!r}") for name in self.possible_agents]
         shape = self.game.single_action_space.shape
         for name, row in zip(self.possible_agents, rows, strict=True):
             if row.shape != shape:

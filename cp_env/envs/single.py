@@ -10,6 +10,7 @@ from gymnasium import Env
 from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
+from cp_env.envs.actions.base import real_numbers
 from cp_env.envs.core import Game
 from cp_env.envs.joint import Observation, join, joint_options, joint_space, split, world
 from cp_env.envs.parallel import raise_failure
@@ -61,9 +62,10 @@ class JointAdversaryEnv(RenderMixin, Env[Any, NDArray[Any]]):
         """
         if not self._running:
             raise ResetNeeded("the episode is over (or never began): call reset() before step()")
-        if np.shape(action) != self.action_space.shape:
-            raise ValueError(f"the action must have shape {self.action_space.shape}, got {np.shape(action)}")
-        batch = np.asarray(action, dtype=np.float32)[None]
+        numbers = real_numbers(action, "the action")
+        if numbers.shape != self.action_space.shape:
+            raise ValueError(f"the action must have shape {self.action_space.shape}, got {numbers.shape}")
+        batch = numbers[None]
         observations, reward, truncated, infos = self.game.step(split(batch, self.n_slots))
         over = bool(truncated[0])
         self._running = not over

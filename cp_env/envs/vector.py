@@ -13,6 +13,7 @@ from gymnasium.vector.utils import batch_space
 from jaxtyping import Bool
 from numpy.typing import NDArray
 
+from cp_env.envs.actions.base import real_numbers
 from cp_env.envs.core import Game
 from cp_env.envs.joint import Observation, join, joint_options, joint_space, split, world
 from cp_env.envs.render_mixin import RENDER_FPS, RENDER_MODES, check_render_mode
@@ -91,9 +92,10 @@ class JointAdversaryVectorEnv(VectorEnv[Any, NDArray[Any], NDArray[Any]]):
         """
         if self._over.any():
             raise ResetNeeded(f"worlds {np.flatnonzero(self._over).tolist()} wait for reset() before step()")
-        if np.shape(actions) != self.action_space.shape:
-            raise ValueError(f"actions must have shape {self.action_space.shape}, got {np.shape(actions)}")
-        observations, reward, truncated, infos = self.game.step(split(np.asarray(actions), self.n_slots))
+        numbers = real_numbers(actions, "the actions")
+        if numbers.shape != self.action_space.shape:
+            raise ValueError(f"actions must have shape {self.action_space.shape}, got {numbers.shape}")
+        observations, reward, truncated, infos = self.game.step(split(numbers, self.n_slots))
         self._report_failures()
         self._over = truncated.copy()
         final: Infos = {}

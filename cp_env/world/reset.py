@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -13,6 +12,7 @@ from cp_env.settings import Settings
 from cp_env.world import absence
 from cp_env.world.absence import Absences
 from cp_env.world.scene_cache import SceneBank
+from cp_env.world.streams import PUBLIC_KEY, Stream
 from defenders.registry import unknown
 
 Seed = int | np.random.SeedSequence | None
@@ -28,21 +28,12 @@ IGNORED = "options"
 class EpisodePlan:
     """One world's next episode."""
 
-    seeds: np.random.SeedSequence  # the stream from which the episodes after this one are drawn
+    stream: Stream  # from which the episodes after this one are drawn
     scene: str
     start: int
     attackers: tuple[int, ...]
     absent: Absences
     rng: np.random.Generator  # the defender's
-
-
-def sequence_of(seed: object) -> np.random.SeedSequence:
-    """The stream that a seed begins. ValueError for what is no seed."""
-    if isinstance(seed, np.random.SeedSequence):
-        return seed
-    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
-        raise ValueError(f"a seed is a whole number >= 0, not {seed!r:.80}")
-    return np.random.SeedSequence(int(seed))
 
 
 def options_of(options: object, n_worlds: int) -> list[Mapping[str, Any]]:
@@ -65,15 +56,14 @@ def options_of(options: object, n_worlds: int) -> list[Mapping[str, Any]]:
 
 
 def plan_episode(
-    bank: SceneBank, settings: Settings, seeds: np.random.SeedSequence, options: Mapping[str, Any]
+    bank: SceneBank, settings: Settings, stream: Stream, options: Mapping[str, Any], key: str = PUBLIC_KEY
 ) -> EpisodePlan:
-    """Draw what `options` leave open. Neither `seeds` nor anything else is changed; the plan holds the stream's rest.
+    """Draw what `options` leave open. Nothing is changed; the plan holds the stream's rest.
 
     Raises:
         ValueError: a scene that is not in the source, a start that is no frame of it, or absences that cannot be.
     """
-    seeds = copy.deepcopy(seeds)
-    scene_rng, attacker_rng, defender_rng = (np.random.default_rng(child) for child in seeds.spawn(3))
+    scene_rng, attacker_rng = stream.generator("scene", key), stream.generator("attackers", key)
     names = bank.source.names()
     drawn = names[scene_rng.integers(len(names))]  # even where it is not used: the start below is the same then
     scene = options.get("scene", drawn)
@@ -89,10 +79,10 @@ def plan_episode(
     if settings.attackers is None:
         chosen = attacker_rng.choice(settings.n_vehicles, settings.k, replace=False).tolist()
     return EpisodePlan(
-        seeds=seeds,
+        stream=stream.next(),
         scene=scene,
         start=int(start),
         attackers=tuple(sorted(int(i) for i in chosen)),
         absent=absence.checked(options.get("absent", {}), settings.n_maps),
-        rng=defender_rng,
+        rng=stream.generator("defender", key),
     )

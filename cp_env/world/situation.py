@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -12,7 +13,7 @@ from torch import Tensor
 
 from cp_env.detector.model.decoder import Dense
 from cp_env.detector.protocol import DetectorLike, with_ego_context
-from cp_env.types import View
+from cp_env.types import View, frozen
 from cp_env.world.episode import Episode
 from cp_env.world.verification import Judgement
 from defenders.protocol import Verdict
@@ -45,29 +46,47 @@ class Situation:
     place: Float[np.ndarray, "E 2"]  # where the egos stand in the world; m
     output: tuple[View | None, ...]  # what they acted on in the last frame; None in the first
     verdict: tuple[Verdict | None, ...]  # of the last frame
-    simulate: Callable[[Float[Tensor, "E k C H W"], Sequence[np.random.Generator]], Outcome]
+    simulate: Callable[[Float[Tensor, "E k C H W"], Sequence[np.random.Generator]], SimulatedOutcome]
     ego_context: Shaped[Tensor, "E ..."] | None = None  # of the egos, if the detector uses it
+
+    def handed_out(self) -> Situation:
+        """The same with copies of all tensors and arrays: what an attack does to them changes nothing here."""
+        copies: dict[str, Any] = {}
+        for one in fields(self):
+            value = getattr(self, one.name)
+            if isinstance(value, Tensor):
+                copies[one.name] = value.clone()
+            elif isinstance(value, np.ndarray):
+                copies[one.name] = value.copy()
+        return replace(self, clean=Dense(self.clean.logits.clone(), self.clean.boxes.clone()), **copies)
 
     def ego_detector(self, worlds: Int[Tensor, " B"] | slice = slice(None)) -> DetectorLike:
         """The detector bound to the ego context of `worlds`: for rows of `received[worlds]`."""
         return with_ego_context(self.detector, None if self.ego_context is None else self.ego_context[worlds])
 
 
-@dataclass(frozen=True, eq=False)
-class Outcome:
-    """One frame of every world, after the defenders judged it. Sequences and first axes run over worlds."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SimulatedOutcome:
+    """A frame of every world, after the defenders judged it, as an attack may know it: without the ground truth.
+
+    Sequences and first axes run over worlds. All arrays are read-only.
+    """
 
     frame: Int[np.ndarray, " E"]
     seen: tuple[View, ...]  # everyone fused, attackers included
     clean: tuple[View, ...]  # everyone fused, as it would have been without the attack
     judgements: tuple[Judgement, ...]
-    truth: tuple[Float[np.ndarray, "_ 5"], ...]
     similarity: Float[np.ndarray, " E"]  # Eq. (5) of `seen` to the previous output; 1 in the first frame
     damage: Float[np.ndarray, " E"]  # 1 - Jaccard(output, clean)
     perturbation_norm: Float[np.ndarray, "E k"]
     attackers: Int[np.ndarray, "E k"]
     truncated: Bool[np.ndarray, " E"]
-    seconds: float = 0.0  # what the step took for all worlds: perceiving and defending, not attacking
+
+    def __post_init__(self) -> None:
+        for one in fields(self):
+            value = getattr(self, one.name)
+            if isinstance(value, np.ndarray):
+                object.__setattr__(self, one.name, frozen(value))
 
     @property
     def output(self) -> tuple[View, ...]:
@@ -86,6 +105,18 @@ class Outcome:
     def errors(self) -> tuple[str | None, ...]:
         """Why a world's defender failed in this frame; None where it did not."""
         return tuple(judgement.error for judgement in self.judgements)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Outcome(SimulatedOutcome):
+    """A frame that was played."""
+
+    truth: tuple[Float[np.ndarray, "_ 5"], ...]  # every vehicle in range, seen or hidden; ego frame
+    seconds: float = 0.0  # what the step took for all worlds: perceiving and defending, not attacking
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        object.__setattr__(self, "truth", tuple(frozen(boxes) for boxes in self.truth))
 
 
 FRAME_METRICS: dict[str, Callable[[Outcome], Float[np.ndarray, " E"]]] = {

@@ -5,6 +5,7 @@ Convention: a *pair* is (world, group). A defender is given views and nothing el
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
@@ -12,6 +13,7 @@ import numpy as np
 
 from cp_env.metrics import similarity
 from cp_env.types import View
+from defenders.checks import check_paid
 from defenders.protocol import Defender, Inspection, Query, Verdict
 
 Pair = tuple[int, frozenset[int]]
@@ -87,9 +89,13 @@ class _Case:
     query: Query | None = None
     verdict: Verdict | None = None
     groups: list[frozenset[int]] = field(default_factory=list)
-    verifications: int = 0
+    uncounted: list[frozenset[int]] = field(default_factory=list)  # those of them that do not count
     queries: int = 0
     error: str | None = None
+
+    @property
+    def verifications(self) -> int:
+        return len(self.groups) - len(self.uncounted)
 
     @property
     def everyone(self) -> frozenset[int]:
@@ -117,6 +123,7 @@ class _Case:
     def _checked(self, request: object) -> Query:
         if not isinstance(request, Query):
             raise ValueError(f"inspect() must yield a Query, not {type(request).__name__}")
+        request = Query(request.groups, bool(request.verification))  # ours: a subclass may answer otherwise next time
         self.queries += 1
         if self.queries > self.defender.max_queries:
             raise ValueError(f"more than max_queries = {self.defender.max_queries} queries in one frame")
@@ -127,7 +134,7 @@ class _Case:
                     f"; present in this frame are {sorted(self.present)}"
                 )
         self.groups += request.groups
-        self.verifications += len(request.groups) if request.verification else 0
+        self.uncounted += () if request.verification else request.groups
         return request
 
     def _conclude(self, verdict: object) -> None:
@@ -140,7 +147,22 @@ class _Case:
                 f"{sorted(self.present)}"
             )
         else:
+            self._settle(Verdict(verdict.collaborators, verdict.suspects, bool(verdict.converged)))
+
+    def _settle(self, verdict: Verdict) -> None:
+        """Take the verdict, if whatever was shown without paying was free: see `defenders.checks.check_paid`."""
+        shown = [group & self.present for group in self.uncounted]
+        try:
+            check_paid(shown, self._counted(), verdict.collaborators & self.present, self.present)
+        except ValueError as error:
+            self._fail(str(error))
+        else:
             self.verdict, self.query = verdict, None
+
+    def _counted(self) -> list[frozenset[int]]:
+        """The groups that were paid for."""
+        paid = Counter(self.groups) - Counter(self.uncounted)
+        return [group & self.present for group in paid]
 
     def _fail(self, reason: str) -> None:
         self.error = f"defender {type(self.defender).__name__} failed in frame {self.frame.index}: {reason}"

@@ -18,16 +18,17 @@ import defenders
 from cp_env.detector.protocol import DetectorLike, fusion_of, with_ego_context
 from cp_env.detector.registry import open_detector
 from cp_env.metrics import similarity
-from cp_env.perturbation import channel
 from cp_env.scenes import open_source
 from cp_env.settings import WORLD_DEFAULTS, Options, Settings
 from cp_env.types import SceneSource, View
 from cp_env.world import absence
 from cp_env.world.absence import Absences
 from cp_env.world.episode import Episode, ego_place, make_views, stack_ego_context, stack_maps
-from cp_env.world.reset import EpisodePlan, ResetOptions, Seed, options_of, plan_episode, sequence_of
+from cp_env.world.reset import EpisodePlan, ResetOptions, Seed, options_of, plan_episode
 from cp_env.world.scene_cache import SceneBank
-from cp_env.world.situation import Clock, Outcome, Situation, clean_output
+from cp_env.world.situation import Clock, Outcome, SimulatedOutcome, Situation, clean_output
+from cp_env.world.streams import PUBLIC_KEY, Stream
+from cp_env.world.transmission import transmit
 from cp_env.world.verification import DefenderError, Frame, Judgement, Pair, judge
 from defenders.protocol import Defender, Informed, Verdict
 
@@ -49,7 +50,7 @@ def open_bank(
 class _State:
     """One world between frames."""
 
-    seeds: np.random.SeedSequence
+    stream: Stream
     defender: Defender
     rng: np.random.Generator | None = None  # the defender's
     scene: str = ""
@@ -71,8 +72,8 @@ class _State:
 class World:
     """E worlds: scene, attackers, channel, the ego's detector and one defender each.
 
-    Every world has one `SeedSequence`, spawned at every reset for the scene, the draw of attackers and the defender. So
-    a world's trajectory does not depend on its neighbours.
+    Every world has one stream of episodes, hashed at every reset for the scene, the draw of attackers and the defender.
+    So a world's trajectory does not depend on its neighbours, and no side can work out another's random numbers.
 
     Args:
         num_envs: E, worlds stepped together.
@@ -81,6 +82,7 @@ class World:
             and `device`.
         settings: the options of `cp_env.parallel_env`, checked; the defaults if it is left out.
         clock: measures what a step takes, in seconds.
+        key: of the random streams (see `cp_env.world.streams`); a benchmark that hides its episodes sets its own.
         options: options of `cp_env.parallel_env` that differ from `settings`.
 
     Raises:
@@ -95,6 +97,7 @@ class World:
         bank: SceneBank | None = None,
         settings: Settings | None = None,
         clock: Clock = time.perf_counter,
+        key: str = PUBLIC_KEY,
         **options: Unpack[Options],
     ) -> None:
         if num_envs < 1:
@@ -107,12 +110,12 @@ class World:
         self.num_envs, self.bank, self.detector = num_envs, bank, bank.detector
         self.device = self.detector.device
         prototype = defenders.make(defender)
-        self._worlds = [_State(np.random.SeedSequence(), copy.deepcopy(prototype)) for _ in range(num_envs)]
+        self._worlds = [_State(Stream.of(np.random.SeedSequence()), copy.deepcopy(prototype)) for _ in range(num_envs)]
         for state in self._worlds:
             state.defender.configure(fusion=fusion_of(self.detector, self.settings.fusion))
         self._everyone = frozenset(range(self.settings.n_maps))
         self._situation: Situation | None = None
-        self._clock = clock
+        self._clock, self._key = clock, key
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_situation": None}  # rebuilt from the bank
@@ -141,14 +144,14 @@ class World:
         chosen = list(range(self.num_envs) if worlds is None else worlds)
         plans = []
         for e, seed, own in zip(chosen, seeds or [None] * len(chosen), options_of(options, len(chosen)), strict=True):
-            stream = self._worlds[e].seeds if seed is None else sequence_of(seed)
-            plans.append(plan_episode(self.bank, self.settings, stream, own))
+            stream = self._worlds[e].stream if seed is None else Stream.of(seed)
+            plans.append(plan_episode(self.bank, self.settings, stream, own, self._key))
         self._situation = None
         for e, plan in zip(chosen, plans, strict=True):
             self._begin(self._worlds[e], plan)
 
     def _begin(self, state: _State, plan: EpisodePlan) -> None:
-        state.seeds, state.rng = plan.seeds, plan.rng
+        state.stream, state.rng = plan.stream, plan.rng
         state.scene, state.start, state.attackers, state.absent = plan.scene, plan.start, plan.attackers, plan.absent
         state.frame, state.output, state.verdict, state.error = 0, None, None, None
         state.informed = isinstance(state.defender, Informed)
@@ -215,7 +218,11 @@ class World:
         return stack_maps(self.places, "features").to(self.device)
 
     def situation(self) -> Situation:
-        """The current frame before anyone acts; computed once a frame."""
+        """The current frame before anyone acts, for an attack: copies, so nothing done to them changes the world."""
+        return self.current().handed_out()
+
+    def current(self) -> Situation:
+        """The current frame before anyone acts, computed once a frame: the world's own, not to be handed out."""
         if self._situation is None:
             places = self.places
             received = stack_maps(places, "received").to(self.device)
@@ -250,43 +257,29 @@ class World:
 
         Raises ValueError if δ has the wrong shape or is not finite. A larger δ than the budget allows is projected.
         """
+        self.current()  # what a frame's first visit encodes is no time of the defence
         start = self._clock()
-        outcome = self._play(delta, self.defenders)
-        self._advance(outcome)
-        return replace(outcome, seconds=self._clock() - start)
+        truth = tuple(episode.truth[t] for episode, t in self.places)
+        played = self._play(delta, self.defenders)
+        self._advance(played)
+        seconds = self._clock() - start
+        return Outcome(**vars(played), truth=truth, seconds=seconds)
 
-    def _simulate(self, delta: Float[Tensor, "E k C H W"], rngs: Sequence[np.random.Generator]) -> Outcome:
+    def _simulate(self, delta: Float[Tensor, "E k C H W"], rngs: Sequence[np.random.Generator]) -> SimulatedOutcome:
         """See `Situation.simulate`."""
+        if len(rngs) != self.num_envs:
+            raise ValueError(f"one generator a world is needed: {self.num_envs} worlds, {len(rngs)} generators")
         return self._play(delta, [s.with_rng(own) for s, own in zip(self._worlds, rngs, strict=True)])
 
-    def _play(self, delta: Float[Tensor, "E k C H W"], defenders: Sequence[Defender]) -> Outcome:
+    def _play(self, delta: Float[Tensor, "E k C H W"], defenders: Sequence[Defender]) -> SimulatedOutcome:
+        situation = self.current()
         with torch.inference_mode():
-            situation = self.situation()
-            attacked, norms = self._transmit(situation, delta)
+            attacked, norms = transmit(situation, delta, self.settings)
             perceive = self._perceiver(attacked, situation)
             seen = perceive(list(enumerate(self._present())))
             states = zip(self._worlds, seen, strict=True)
             frames = [Frame(s.frame, self.settings.n_maps, view, s.output) for s, view in states]
             return self._outcome(frames, judge(frames, defenders, perceive), norms, self._clean(situation))
-
-    def _transmit(
-        self, situation: Situation, delta: Float[Tensor, "E k C H W"]
-    ) -> tuple[Float[Tensor, "E N C H W"], Float[np.ndarray, "E k"]]:
-        shape = (*situation.attackers.shape, *situation.received.shape[2:])
-        if tuple(delta.shape) != shape:
-            raise ValueError(f"a perturbation must have shape [E, k, C, H, W] = {shape}, not {tuple(delta.shape)}")
-        sent = channel.norm_of(delta.detach().to(self.device), situation.norm)
-        if not bool(torch.isfinite(sent).all()):
-            raise ValueError("a perturbation must be finite, but it holds NaN or infinity; check the attack")
-        active = situation.active[:, None] & situation.present.gather(1, situation.attackers)
-        if not bool((sent * active).any()):
-            return situation.received, torch.zeros_like(sent).cpu().numpy()
-        delta = channel.project(delta.detach().to(self.device), situation.budget, situation.norm)
-        delta = delta * active[..., None, None, None]
-        norms = channel.norm_of(delta, situation.norm).cpu().numpy()
-        index = situation.attackers[..., None].expand(-1, -1, 3)
-        warped = self.detector.warp(delta, situation.ego_T_sender.gather(1, index))
-        return channel.inject(situation.received, warped, situation.attackers), norms
 
     def _perceiver(
         self, attacked: Float[Tensor, "E N C H W"], situation: Situation
@@ -314,7 +307,7 @@ class World:
 
     def _outcome(
         self, frames: list[Frame], judgements: list[Judgement], norms: np.ndarray, clean: tuple[View, ...]
-    ) -> Outcome:
+    ) -> SimulatedOutcome:
         places = self.places
         last = [
             1.0 if s.output is None else f.similarity(f.seen, s.output)
@@ -325,12 +318,11 @@ class World:
             s.frame + 1 >= self.settings.max_frames or t + 1 >= episode.scene.n_frames or j.error is not None
             for s, (episode, t), j in zip(self._worlds, places, judgements, strict=True)
         ]
-        return Outcome(
+        return SimulatedOutcome(
             frame=np.array([s.frame for s in self._worlds]),
             seen=tuple(f.seen for f in frames),
             clean=clean,
             judgements=tuple(judgements),
-            truth=tuple(episode.truth[t] for episode, t in places),
             similarity=np.array(last, dtype=np.float32),
             damage=(1.0 - kept).astype(np.float32),
             perturbation_norm=norms,
@@ -338,7 +330,7 @@ class World:
             truncated=np.array(over),
         )
 
-    def _advance(self, outcome: Outcome) -> None:
+    def _advance(self, outcome: SimulatedOutcome) -> None:
         """Move every world to its next frame; a world at its end stays on its last frame until it is reset."""
         for state, judgement, over in zip(self._worlds, outcome.judgements, outcome.truncated, strict=True):
             state.output, state.verdict, state.error = judgement.output, judgement.verdict, judgement.error

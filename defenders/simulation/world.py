@@ -8,11 +8,13 @@ many episodes at once.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from defenders.checks import check_paid
 from defenders.protocol import Defender, Frame, Informed, Query, QueryError, Verdict
 from defenders.simulation.verifier import Group, SimilarityModel, exact
 
@@ -142,7 +144,8 @@ class SimulatedWorld:
             QueryError: If a query or the verdict is invalid.
         """
         groups: list[Group] = []
-        queries = verifications = 0
+        uncounted: list[Group] = []
+        queries = 0
         inspection = defender.inspect(self.show(attack))
         try:
             query = next(inspection)
@@ -150,12 +153,27 @@ class SimulatedWorld:
                 queries += 1
                 self._check(query, queries, defender.max_queries)
                 groups += query.groups
-                verifications += len(query.groups) if query.verification else 0
+                uncounted += () if query.verification else query.groups
                 query = inspection.send([self.view(group) for group in query.groups])
         except StopIteration as stop:
-            return FrameResult(self._checked(stop.value), tuple(groups), verifications, self.active)
+            verdict = self._checked(stop.value)
+            self._check_paid(groups, uncounted, verdict)
+            return FrameResult(verdict, tuple(groups), len(groups) - len(uncounted), self.active)
         finally:
             inspection.close()
+
+    def _check_paid(self, groups: list[Group], uncounted: list[Group], verdict: Verdict) -> None:
+        """QueryError if more was shown without paying than is free: see `defenders.checks.check_paid`."""
+        counted = Counter(groups) - Counter(uncounted)
+        try:
+            check_paid(
+                [group & self.present for group in uncounted],
+                [group & self.present for group in counted],
+                verdict.collaborators & self.present,
+                self.present,
+            )
+        except ValueError as error:
+            raise QueryError(str(error)) from error
 
     def _check(self, query: object, queries: int, most: int) -> None:
         if not isinstance(query, Query):

@@ -154,7 +154,7 @@ def on_the_detector(args: Args) -> Iterator[Row]:
     runs = evaluation.plan_runs(conditions, defenders=defenders, attacks=("pgd",), ks=args.ks, seeds=seeds, batch=4)
     workers = evaluation.Workers(make_attack=agents.make, processes=args.workers, threads=args.threads)
     store = evaluation.Store(args.out, evaluation.open_bank(conditions).detector.digest)
-    for _ in track(evaluation.prepare(runs, conditions, workers), "encoding", total=len(chosen)):
+    for _ in track(evaluation.prepare(runs, conditions, workers), "opening", total=len(chosen)):
         pass
     for _ in track(evaluation.execute(runs, conditions, store, workers), "playing", total=len(runs)):
         pass

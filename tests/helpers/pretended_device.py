@@ -19,6 +19,8 @@ from torch.overrides import TorchFunctionMode
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_flatten, tree_map
 
+from cp_env.world import transmission
+
 AWAY = torch.device("meta")
 
 
@@ -119,5 +121,6 @@ def pretended() -> Iterator[None]:
     def inference_mode(mode: bool = True) -> AbstractContextManager[Any]:
         return torch.no_grad() if mode else nullcontext()
 
-    with mock.patch.object(torch, "inference_mode", inference_mode), Pretended(), FromNumbers():
+    plain = mock.patch.object(transmission, "PLAIN", (*transmission.PLAIN, Away))  # a wrapper here, plain on a device
+    with mock.patch.object(torch, "inference_mode", inference_mode), plain, Pretended(), FromNumbers():
         yield

@@ -7,13 +7,13 @@ nothing holds one, `stpn`. What a model does not use is tolerated where copercep
 
 from __future__ import annotations
 
-import pickle
 from collections.abc import Mapping
 from pathlib import Path
 
-import torch
 from jaxtyping import Float
 from torch import Tensor, nn
+
+from cp_env.detector.coperception.torch_file import StoredTensor, TorchFile
 
 FUSIONS = ("mean", "max", "sum", "v2vnet", "disconet")
 LEARNED = {"v2vnet": "convgru", "disconet": "pixel_weighted_fusion"}
@@ -91,25 +91,26 @@ def read(path: str | Path) -> Weights:
     """The tensors of a checkpoint file.
 
     Raises:
-        ValueError: the file is missing, is none of torch's, holds other objects than tensors and plain values, or has
-            no `model_state_dict`.
+        ValueError: the file is missing, is none of torch's, exceeds a bound of `torch_file`, holds other objects than
+            tensors and plain values, a weight that is no finite number, or no `model_state_dict`.
     """
     path = Path(path)
-    if not path.is_file():
-        raise ValueError(f"no checkpoint at {path}: the file is missing")
     try:
-        content = torch.load(path, map_location="cpu", weights_only=True)
-    except (pickle.UnpicklingError, RuntimeError, OSError, EOFError, ValueError) as error:
+        with TorchFile(path) as file:
+            content = file.content
+            state = content.get("model_state_dict") if isinstance(content, dict) else None
+            if isinstance(state, dict) and all(isinstance(value, StoredTensor) for value in state.values()):
+                return Weights({str(key): file.tensor(value) for key, value in state.items()}, str(path))
+    except FileNotFoundError as error:
+        raise ValueError(f"no checkpoint at {path}: the file is missing") from error
+    except (OSError, ValueError) as error:
         raise ValueError(
             f"cannot read the checkpoint {path}: {error}\nIf it is whole, it holds objects that are not run here. "
             'Where you trust it, keep the weights alone: torch.save({"model_state_dict": torch.load(path, '
             'weights_only=False)["model_state_dict"]}, new_path)'
         ) from error
-    state = content.get("model_state_dict") if isinstance(content, dict) else None
-    if not isinstance(state, dict) or not all(isinstance(value, Tensor) for value in state.values()):
-        holds = ", ".join(map(str, content)) if isinstance(content, dict) else type(content).__name__
-        raise ValueError(f"the checkpoint {path} has no 'model_state_dict' of tensors; it holds {holds or 'nothing'}")
-    return Weights(state, str(path))
+    holds = ", ".join(map(str, content)) if isinstance(content, dict) else type(content).__name__
+    raise ValueError(f"the checkpoint {path} has no 'model_state_dict' of tensors; it holds {holds[:200] or 'nothing'}")
 
 
 def layer(weight: Float[Tensor, "O I h w"], bias: Float[Tensor, " O"], stride: int = 1) -> nn.Conv2d:

@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import json
+import math
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from safetensors import SafetensorError, safe_open
+import torch
 from safetensors.torch import save_file
 
 from cp_env.detector.model.bev import BEV
 from cp_env.detector.model.detector import Detector
 from cp_env.detector.model.fusion import FUSIONS
+from cp_env.detector.model.tensors import read_metadata, read_tensors
+from cp_env.scenes.formats.bounded import parse_json
 
 FOLDER = Path(__file__).parent / "weights"
 FORMAT = "cp_env detector 1"
 ARCHITECTURE = ("format", "fusion", "channels", "threshold", "grid")
+MAX_CHANNELS = 1024
 
 
 def names() -> list[str]:
@@ -64,30 +68,45 @@ def read_detector(path: Path) -> Detector:
     """The detector in a file, ready to be frozen or trained further.
 
     Raises:
-        ValueError: the file is missing, broken, or made for another grid or architecture.
+        ValueError: the file is missing, broken, exceeds a bound of `tensors`, holds a number that is not finite, or is
+            made for another grid or architecture.
     """
-    if not path.is_file():
-        raise ValueError(f"no weights at {path}: the file is missing; install the package again, or train a detector")
     try:
-        with safe_open(path, framework="pt") as file:
-            about = {key: json.loads(value) for key, value in (file.metadata() or {}).items()}
-            tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 (not a dict)
-    except (SafetensorError, OSError, json.JSONDecodeError) as error:
+        metadata, tensors = read_tensors(path)
+        about = {key: parse_json(value) for key, value in metadata.items()}
+    except FileNotFoundError as error:
+        raise ValueError(
+            f"no weights at {path}: the file is missing; install the package again, or train a detector"
+        ) from error
+    except (OSError, ValueError) as error:
         raise ValueError(f"cannot read the weights in {path}: {error}; the file is broken, get it again") from error
     if about.get("format") != FORMAT or about.get("grid") != str(BEV):
         raise ValueError(
             f"the weights in {path} are of format {about.get('format')!r} for the grid {about.get('grid')!r}; "
             f"this version reads {FORMAT!r} for {str(BEV)!r}: train again"
         )
-    detector = Detector(fusion=about["fusion"], channels=about["channels"], threshold=about["threshold"])
+    if strange := [key for key, tensor in tensors.items() if not torch.isfinite(tensor).all()]:
+        raise ValueError(f"the weights in {path} hold numbers that are not finite, in {strange[0][:80]}: train again")
+    fusion, channels, threshold = (about.get(key, 0) for key in ("fusion", "channels", "threshold"))
+    known = isinstance(fusion, str) and fusion in FUSIONS
+    if not known or not _between(channels, 1, MAX_CHANNELS) or not _between(threshold, 0, 1):
+        raise ValueError(
+            f"the weights in {path} are of no detector: fusion {fusion!r:.40}, {channels!r:.40} channels, threshold "
+            f"{threshold!r:.40}; fusion is one of {', '.join(FUSIONS)}, with 1 to {MAX_CHANNELS} channels"
+        )
+    detector = Detector(fusion=fusion, channels=int(channels), threshold=float(threshold))
     try:
         detector.load_state_dict({key: tensor.float() if tensor.dim() else tensor for key, tensor in tensors.items()})
     except RuntimeError as error:
-        raise ValueError(f"the weights in {path} do not fit the detector: {error}") from error
+        raise ValueError(f"the weights in {path} do not fit the detector: {str(error)[:1000]}") from error
     return detector
 
 
 def about(path: Path) -> dict[str, Any]:
     """What a weights file says of itself beyond its architecture: how it was trained and calibrated."""
-    with safe_open(path, framework="pt") as file:
-        return {key: json.loads(value) for key, value in file.metadata().items() if key not in ARCHITECTURE}
+    return {key: parse_json(value) for key, value in read_metadata(path).items() if key not in ARCHITECTURE}
+
+
+def _between(number: Any, low: float, high: float) -> bool:
+    """Whether it is a finite number from `low` to `high`."""
+    return type(number) in (int, float) and math.isfinite(number) and low <= number <= high

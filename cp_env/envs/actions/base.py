@@ -12,6 +12,32 @@ from torch import Tensor
 from cp_env.world.situation import Situation
 
 
+def real_numbers(action: object, what: str = "an action") -> Float[np.ndarray, "..."]:
+    """An action as an array of single precision.
+
+    Args:
+        action: an array, a tensor without a graph, or nested sequences of real numbers.
+        what: what it is called in messages.
+
+    Returns:
+        A new array; its shape is for the caller to check.
+
+    Raises:
+        ValueError: it holds anything else: text, complex numbers, masked entries, numbers too large for any float.
+    """
+    parts = action if isinstance(action, list | tuple) else ()
+    if isinstance(action, str | bytes | np.ma.MaskedArray) or any(isinstance(p, np.ma.MaskedArray) for p in parts):
+        raise ValueError(f"{what} must hold real numbers, not {type(action).__name__}")
+    try:
+        array = np.asarray(action)
+    except (TypeError, ValueError, RuntimeError, OverflowError) as error:
+        raise ValueError(f"{what} must hold real numbers and no graph: {error}") from error
+    if array.dtype.kind not in "fiub":
+        raise ValueError(f"{what} must hold real numbers, not {array.dtype}")
+    with np.errstate(over="ignore"):  # what is too large becomes infinite, which is refused by `checked`
+        return array.astype(np.float32)
+
+
 class ActionMap(ABC):
     """The action space of a slot, and the map from all slots' actions to perturbations."""
 
@@ -21,9 +47,9 @@ class ActionMap(ABC):
     def reset(self, worlds: list[int]) -> None:  # noqa: B027 (most maps carry nothing over)
         """Discard what was carried over from frame to frame in `worlds`, where new episodes begin."""
 
-    def checked(self, actions: np.ndarray, n: tuple[int, int]) -> Float[np.ndarray, "E k *a"]:
+    def checked(self, actions: object, n: tuple[int, int]) -> Float[np.ndarray, "E k *a"]:
         """The actions of n = (E, k) slots, clipped to [-1, 1]; ValueError for a wrong shape, NaN or infinity."""
-        array = np.asarray(actions, dtype=np.float32)
+        array = real_numbers(actions)
         shape = (*n, *self.space.shape)
         if array.shape != shape:
             raise ValueError(f"an action must have shape {self.space.shape}; together {shape}, not {array.shape}")

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from cp_env.evaluation.analysis.curves import Curve, curves
+from cp_env.evaluation.analysis.flags import better_than_everyone
 from cp_env.evaluation.analysis.summary import Row, summarise
 from cp_env.evaluation.analysis.worst_case import (
     Ranking,
@@ -38,6 +39,7 @@ class ArenaResults:
     curves: Sequence[Curve]
     worst: Mapping[str, Worst]
     failed: str = ""  # which runs could not be played, and why
+    flags: Sequence[str] = ()  # what no defender should reach
 
     @property
     def n_scenes(self) -> int:
@@ -60,9 +62,11 @@ def collect_results(grids: Sequence[Grid], folder: Path, *, resamples: int = 100
         run.defender for _, runs in results for run, records in runs.items() if any(r.informed for r in records)
     }
     damage, ap50 = damages(baseline, first), average_precisions(baseline, first)
+    rows_at = {grid.point: summarise(runs, resamples=resamples) for grid, runs in results}
     return ArenaResults(
         baseline=baseline,
-        rows_at={grid.point: summarise(runs, resamples=resamples) for grid, runs in results},
+        rows_at=rows_at,
+        flags=tuple(better_than_everyone(rows_at[baseline.point])),
         defenders=rank_defenders(damage, ap50, informed),
         attacks=rank_attacks(damage, ap50, informed),
         damage=damage,
@@ -83,6 +87,7 @@ def write_json(results: ArenaResults, folder: Path, about: dict[str, Any]) -> li
     whole = {
         "about": about,
         "failed": results.failed,
+        "flags": results.flags,
         "defenders": [asdict(ranking) for ranking in results.defenders],
         "attacks": [asdict(ranking) for ranking in results.attacks],
         "damage": results.damage,

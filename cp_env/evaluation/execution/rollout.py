@@ -17,7 +17,9 @@ from cp_env.evaluation.plan.runs import Conditions, Run
 from cp_env.metrics.average_precision import ApMeter
 from cp_env.world.scene_cache import SceneBank
 from cp_env.world.situation import FRAME_METRICS, Clock, Outcome
+from cp_env.world.streams import keyed_generator
 from cp_env.world.world import World
+from defenders.sealed import seal
 
 RECORDED = ("damage", "similarity", "verifications")
 """The frame metrics that a record holds."""
@@ -40,17 +42,20 @@ class Rollout:
         attack: Attack | Learned,
         clock: Clock = time.perf_counter,
     ) -> None:
-        defender = defenders.make(run.defender)
+        defender = seal(run.defender) if conditions.sealed else defenders.make(run.defender)
         settings = vars(conditions.settings(run.k))
-        seeds = [_seed(run.seed, scene, 0) for scene in run.names]
+        seeds = [_seed(run.seed, scene) for scene in run.names]
         options = [{"scene": scene} for scene in run.names]
         if isinstance(attack, Attack):
-            self.world = World(len(run.names), defender=defender, bank=bank, clock=clock, **settings)
+            self.world = World(
+                len(run.names), defender=defender, bank=bank, clock=clock, key=conditions.key, **settings
+            )
             self.world.reset(seeds, options=options)
-            self.step = self._scripted(attack, [np.random.default_rng(_seed(run.seed, s, 1)) for s in run.names])
+            own = [keyed_generator(conditions.key, run.seed, scene, "attack") for scene in run.names]
+            self.step = self._scripted(attack, own)
         else:
             settings = settings | {name: attack.options[name] for name in VIEWPOINT if name in attack.options}
-            game = Game(len(run.names), defender, bank=bank, clock=clock, **settings)
+            game = Game(len(run.names), defender, bank=bank, clock=clock, key=conditions.key, **settings)
             self.world = game.world
             self.step = self._learned(attack, game, game.reset(seeds, options=options)[0])
 
@@ -146,6 +151,6 @@ class EpisodeRecorder:
         )
 
 
-def _seed(seed: int, scene: str, purpose: int) -> np.random.SeedSequence:
+def _seed(seed: int, scene: str) -> np.random.SeedSequence:
     """A seed that depends on seed and scene alone, so runs that differ in defender or attack are played in pairs."""
-    return np.random.SeedSequence([seed, zlib.crc32(scene.encode()), purpose])
+    return np.random.SeedSequence([seed, zlib.crc32(scene.encode())])

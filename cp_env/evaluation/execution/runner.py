@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 
 import defenders
 from cp_env.evaluation.execution.processes import Failure
 from cp_env.evaluation.execution.rollout import play
 from cp_env.evaluation.execution.workers import Workers
+from cp_env.evaluation.plan.checksum import COPIES, Fault, copies, warn_of
+from cp_env.evaluation.plan.files import check_writable, remove_drafts
 from cp_env.evaluation.plan.grid import Job
 from cp_env.evaluation.plan.records import Record, Store
 from cp_env.evaluation.plan.runs import Conditions, Run
+from defenders.sealed import seal
 
 
 class FailedRuns(RuntimeError):
@@ -23,19 +27,21 @@ class FailedRuns(RuntimeError):
 
 
 def prepare(runs: Sequence[Run], conditions: Conditions, workers: Workers) -> Iterator[str]:
-    """Encode every scene that the cache does not hold yet; yields the name of each that is there.
+    """Open every scene once, so that what is broken is said before hours of play; yields the name of each.
+
+    Frames are encoded when they are played.
 
     Raises:
-        ValueError: before anything is encoded, a defender or an attack of the runs that cannot be made; or a scene that
-            cannot be encoded.
+        ValueError: before anything is opened, a defender or an attack of the runs that cannot be made; or a scene that
+            cannot be opened.
     """
     for defender in {run.defender: None for run in runs}:
-        defenders.make(defender)
+        seal(defender) if conditions.sealed else defenders.make(defender)
     for attack in {run.attack: None for run in runs}:
         workers.make_attack(attack)
-    for number, done in workers.each(_encode, [(name, conditions, workers) for name in conditions.names]):
+    for number, done in workers.each(_open, [(name, conditions, workers) for name in conditions.names]):
         if isinstance(done, Failure):
-            raise ValueError(f"cannot encode scene {conditions.names[number]!r}: {done.reason}")
+            raise ValueError(f"cannot open scene {conditions.names[number]!r}: {done.reason}")
         yield done
 
 
@@ -49,18 +55,29 @@ def execute_all(jobs: Sequence[Job], workers: Workers) -> Iterator[Job]:
     """Play the runs that their store does not hold; yields each job when it is finished.
 
     Whatever ends the execution, finished runs stay; the same call goes on. The results do not depend on how often it
-    was interrupted, nor on the workers.
+    was interrupted, nor on the workers. Stored files that cannot be used are named in a warning and played anew; what
+    killed writers left behind is removed.
 
     Raises:
+        CannotWrite: before anything is played, a store that cannot be written; or the disk is full later on.
         FailedRuns: when all else is played, if a run's defender, attack or worker broke down.
     """
-    todo = []
+    for root in {store.root: None for _, _, store in jobs}:
+        remove_drafts(root)
+    todo, faults = [], _strangers(jobs)
     for job in jobs:
         run, conditions, store = job
-        if store.read(run, conditions) is None:
-            todo.append(job)
-        else:
+        found = store.examine(run, conditions)
+        if isinstance(found, tuple):
             yield job
+            continue
+        todo.append(job)
+        if found is not None:
+            faults.append(found)
+    warn_of([fault for fault in faults if fault.kind != COPIES])
+    warn_of([fault for fault in faults if fault.kind == COPIES], "they are left alone, and not counted")
+    for folder in {store.folder: None for _, _, store in todo}:
+        check_writable(folder)
     failed = []
     for number, done in workers.each(_play, [(run, conditions, workers) for run, conditions, _ in todo]):
         run, conditions, store = todo[number]
@@ -73,7 +90,15 @@ def execute_all(jobs: Sequence[Job], workers: Workers) -> Iterator[Job]:
         raise FailedRuns(failed, len(jobs))
 
 
-def _encode(name: str, conditions: Conditions, workers: Workers) -> str:
+def _strangers(jobs: Sequence[Job]) -> list[Fault]:
+    """Files in the stores of the jobs that are not what their names say."""
+    planned: dict[Path, list[Path]] = {}
+    for run, conditions, store in jobs:
+        planned.setdefault(store.folder, []).append(store.path(run, conditions))
+    return [fault for folder, paths in planned.items() for fault in copies(folder, paths)]
+
+
+def _open(name: str, conditions: Conditions, workers: Workers) -> str:
     workers.open_bank(conditions).episode(name, conditions.n_vehicles, conditions.rsu)
     return name
 

@@ -1,10 +1,8 @@
-"""Results on disk: one JSON file a run, written whole or not at all, so that a killed execution loses one run."""
+"""Results on disk: a JSON file with a checksum for each run, written whole or not at all."""
 
 from __future__ import annotations
 
 import base64
-import json
-import os
 import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
@@ -14,10 +12,21 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
+from cp_env.evaluation.plan.checksum import UNLIKE, UNREADABLE, Broken, Fault, stamp, verify, versions, warn_of
+from cp_env.evaluation.plan.files import write_atomically
 from cp_env.evaluation.plan.runs import Conditions, Run
 from cp_env.metrics.average_precision import ApMeter
+from cp_env.scenes.formats.bounded import read_bytes
+
+__all__ = ["IOUS", "PooledApMeter", "Record", "Store", "write_atomically"]
 
 IOUS = (0.5, 0.7)
+
+RECORD_BYTES = 16 << 20
+"""The file of a run is at most so long."""
+
+MAX_BOXES = 10_000_000
+"""Boxes or frames of an episode, at most."""
 
 
 class PooledApMeter(ApMeter):
@@ -85,15 +94,46 @@ class Record:
 
     @classmethod
     def from_json(cls, data: dict[str, Any]) -> Record:
+        """The record that `to_json` gave.
+
+        Raises:
+            ValueError, KeyError, TypeError, zlib.error: it is none.
+        """
         plain: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in data.items()}
         boxes: dict[str, Any] = plain.pop("boxes")
-        scores = _unpack(boxes["scores"], np.float32).astype(np.float64)
-        hits = {
-            iou: np.unpackbits(_unpack(boxes["hits"][str(iou)], np.uint8), count=boxes["n_boxes"]).astype(bool)
-            for iou in IOUS
-        }
-        protocol = boxes.get("protocol", "strict")
-        return cls(meter=PooledApMeter(scores, hits, boxes["n_truth"], boxes["n_frames"], protocol), **plain)
+        if plain.keys() != _KINDS.keys() or not all(_is(value, *_KINDS[key]) for key, value in plain.items()):
+            raise ValueError("values of a record that are missing, too many, or of another type")
+        n_truth, n_frames, n_boxes = (boxes[name] for name in ("n_truth", "n_frames", "n_boxes"))
+        if not all(type(n) is int and 0 <= n <= MAX_BOXES for n in (n_truth, n_frames, n_boxes)):
+            raise ValueError(f"counts of boxes and frames must be whole numbers up to {MAX_BOXES}")
+        scores = _unpack(boxes["scores"], np.float32, n_boxes).astype(np.float64)
+        packed = {iou: _unpack(boxes["hits"][str(iou)], np.uint8, -(-n_boxes // 8)) for iou in IOUS}
+        hits = {iou: np.unpackbits(bits, count=n_boxes).astype(bool) for iou, bits in packed.items()}
+        return cls(meter=PooledApMeter(scores, hits, n_truth, n_frames, boxes["protocol"]), **plain)
+
+
+_KINDS: dict[str, tuple[type, ...]] = {
+    "scene": (str,),
+    "attackers": (tuple, int),
+    "n_maps": (int,),
+    "grace_frames": (int,),
+    "damage": (tuple, float),
+    "similarity": (tuple, float),
+    "verifications": (tuple, int),
+    "suspects": (tuple, int),
+    "converged": (int, type(None)),
+    "error": (str, type(None)),
+    "seconds": (float,),
+    "informed": (bool,),
+}
+"""Types of a record's values; behind `tuple`, that of its items."""
+
+
+def _is(value: Any, kind: type, other: type | None = None) -> bool:
+    """Whether a value is of a kind or the other; or is a tuple whose items are of the other."""
+    if kind is tuple:
+        return type(value) is tuple and all(type(item) is other for item in value)
+    return type(value) in (kind, other)
 
 
 class Store:
@@ -102,40 +142,82 @@ class Store:
     def __init__(self, root: str | Path, detector: str = "") -> None:
         self.root, self.detector = Path(root), detector
 
+    @property
+    def folder(self) -> Path:
+        """Where the runs' files are."""
+        return self.root / "runs"
+
     def path(self, run: Run, conditions: Conditions) -> Path:
-        return self.root / "runs" / f"{run.slug(conditions, self.detector)}.json"
+        return self.folder / f"{run.slug(conditions, self.detector)}.json"
 
     def write(self, run: Run, conditions: Conditions, records: Iterable[Record]) -> None:
-        """Write a run atomically: a reader sees the whole run or none. The file holds its conditions, too."""
-        described = {"conditions": conditions.describe(), "detector": self.detector}
-        data = {**asdict(run), **described, "records": [record.to_json() for record in records]}
-        write_atomically(self.path(run, conditions), json.dumps(data) + "\n")
+        """Write a run atomically: a reader sees the whole run or none. The file holds its conditions, too.
+
+        Raises:
+            CannotWrite: the disk is full, the folder is read-only, or something stands in the file's place.
+        """
+        path = self.path(run, conditions)
+        content = {
+            **asdict(run),
+            "conditions": conditions.describe(),
+            "detector": self.detector,
+            "identity": run.identity(conditions, self.detector),
+            "made_with": versions(),
+            "records": [record.to_json() for record in records],
+        }
+        write_atomically(path, stamp(path.stem, content))
+
+    def examine(self, run: Run, conditions: Conditions) -> tuple[Record, ...] | Fault | None:
+        """The run's episodes; None if it was not finished; what is wrong with its file if that cannot be used."""
+        path = self.path(run, conditions)
+        try:
+            text = read_bytes(path, RECORD_BYTES)
+        except (FileNotFoundError, NotADirectoryError):
+            return None
+        except (OSError, ValueError):
+            return Fault(path, UNREADABLE)
+        try:
+            content = verify(text, path.stem)
+        except Broken as error:
+            return Fault(path, str(error))
+        try:
+            records = tuple(Record.from_json(record) for record in content["records"])
+        except (ValueError, KeyError, TypeError, OverflowError, zlib.error):
+            return Fault(path, UNLIKE)
+        return records if _of_run(records, run, conditions) else Fault(path, UNLIKE)
 
     def read(self, run: Run, conditions: Conditions) -> tuple[Record, ...] | None:
-        """The run's episodes; None if it was not finished (a file that cannot be read counts as not finished)."""
-        try:
-            data = json.loads(self.path(run, conditions).read_text())
-            return tuple(Record.from_json(record) for record in data["records"])
-        except (OSError, ValueError, KeyError, TypeError, zlib.error):
-            return None
+        """The run's episodes; None if it was not finished, or its file cannot be used, which is a warning."""
+        return self.load([run], conditions).get(run)
 
     def load(self, runs: Iterable[Run], conditions: Conditions) -> dict[Run, tuple[Record, ...]]:
-        """All of `runs` that are finished."""
-        found = ((run, self.read(run, conditions)) for run in runs)
-        return {run: records for run, records in found if records is not None}
+        """All of `runs` that are finished. Files that cannot be used are not counted; one warning a kind names them."""
+        found = {run: self.examine(run, conditions) for run in runs}
+        warn_of([fault for fault in found.values() if isinstance(fault, Fault)])
+        return {run: records for run, records in found.items() if isinstance(records, tuple)}
 
 
-def write_atomically(path: Path, data: str | bytes) -> None:
-    """Write a file under another name, then rename it."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    draft = path.with_name(f".{path.name}.{os.getpid()}")
-    draft.write_bytes(data.encode() if isinstance(data, str) else data)
-    draft.replace(path)
+def _of_run(records: Sequence[Record], run: Run, conditions: Conditions) -> bool:
+    """Whether these are the episodes of that run: each scene once, in order, with its attackers and its frames."""
+    return tuple(record.scene for record in records) == run.names and all(
+        len(set(record.attackers)) == len(record.attackers) == run.k
+        and record.n_maps == conditions.n_vehicles + int(conditions.rsu)
+        and record.grace_frames == conditions.grace_frames
+        and record.meter.protocol == conditions.ap
+        and 1 <= len(record.damage) <= conditions.frames
+        and len(record.damage) == len(record.similarity) == len(record.verifications)
+        for record in records
+    )
 
 
 def _pack(array: np.ndarray) -> str:
     return base64.b64encode(zlib.compress(array.tobytes())).decode()
 
 
-def _unpack(text: str, dtype: type[np.generic]) -> np.ndarray:
-    return np.frombuffer(zlib.decompress(base64.b64decode(text)), dtype)
+def _unpack(text: str, dtype: type[np.generic], count: int) -> np.ndarray:
+    """ValueError unless these are so many numbers; no more than those are unpacked."""
+    size = count * np.dtype(dtype).itemsize
+    data = zlib.decompressobj().decompress(base64.b64decode(text, validate=True), size + 1)
+    if len(data) != size:
+        raise ValueError(f"{len(data)} bytes of numbers, not {size}")
+    return np.frombuffer(data, dtype)

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import zlib
+import hashlib
+import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
-from functools import lru_cache
-from importlib.util import find_spec
+from dataclasses import asdict, dataclass, field
 from itertools import product
-from pathlib import Path
 from typing import Any
 
+from cp_env.evaluation.plan.sources import code_of
 from cp_env.metrics.average_precision import rules
 from cp_env.scenes import open_source
 from cp_env.settings import Fusion, Norm, Settings
 from cp_env.types import SceneSource
+from cp_env.world.streams import PUBLIC_KEY, name_of_key
 from defenders.registry import Spec
 
 NO_ATTACK = "none"
@@ -41,6 +41,8 @@ class Conditions:
     ap: str = "strict"  # how average precision is counted: see `cp_env.metrics.average_precision`
     weights: str | None = None  # a file of the detector's; by default those that ship
     detector: str = "cp_env"  # see `cp_env.detector.registry`
+    sealed: bool = False  # each defender runs in a process of its own: see `defenders.sealed`
+    key: str = field(default=PUBLIC_KEY, repr=False)  # of all random streams: see `cp_env.world.streams`
 
     def __post_init__(self) -> None:
         rules(self.ap)
@@ -68,7 +70,9 @@ class Conditions:
         scenes = self.scenes if isinstance(self.scenes, str) else self.scenes.name
         shared = {name: value for name, value in asdict(self.settings(0)).items() if name in self.__dataclass_fields__}
         ap = {} if self.ap == "strict" else {"ap": self.ap}  # the default leaves the names of stored runs as they were
-        return {"scenes": scenes, "names": list(self.names), "frames": self.frames, **shared, **ap}
+        sealed = {"sealed": True} if self.sealed else {}
+        key = {} if self.key == PUBLIC_KEY else {"key": name_of_key(self.key)}
+        return {"scenes": scenes, "names": list(self.names), "frames": self.frames, **shared, **ap, **sealed, **key}
 
 
 @dataclass(frozen=True)
@@ -85,16 +89,33 @@ class Run:
         names = ", ".join(self.names)
         return f"{self.defender} against {self.attack}, k = {self.k}, seed {self.seed}, on {names}"
 
-    def slug(self, conditions: Conditions, detector: str = "") -> str:
-        """A file name: readable, and distinct for any other run, conditions, scene source or detector digest.
+    def identity(self, conditions: Conditions, detector: str = "") -> dict[str, str]:
+        """All that the results depend on beyond the run's own fields, fit for JSON.
 
-        A run with a class of yours is another one, too, when the file that holds the class was changed.
+        Args:
+            conditions: under which the run is played.
+            detector: digest of the detector's weights.
+
+        Returns:
+            The package's version; digests of the scenes, of the weights, and of the source files of the defender, the
+            attack and the detector (see `sources.code_of`).
         """
-        described = {**conditions.describe(), "names": None, "digest": open_source(conditions.scenes).digest}
-        custom_classes = [code for spec in (self.defender, self.attack) if (code := code_of(spec)) is not None]
-        identity = zlib.crc32(repr((self, detector, sorted(described.items()), *custom_classes)).encode())
+        return {
+            "version": _version(),
+            "scenes": open_source(conditions.scenes).digest,
+            "weights": detector,
+            "defender_code": code_of("defender", self.defender),
+            "attack_code": code_of("attack", self.attack),
+            "detector_code": code_of("detector", conditions.detector),
+        }
+
+    def slug(self, conditions: Conditions, detector: str = "") -> str:
+        """A file name: readable, and distinct for any other run, conditions or `identity`."""
+        described = {**conditions.describe(), "names": None, "detector": conditions.detector}
+        said = (self, sorted(described.items()), sorted(self.identity(conditions, detector).items()))
+        digest = hashlib.sha256(repr(said).encode()).hexdigest()[:16]
         words = file_words(f"{self.defender}-{self.attack}")
-        return f"{words}-k{self.k}-s{self.seed}-{self.names[0]}-{identity:08x}"
+        return f"{words}-k{self.k}-s{self.seed}-{file_words(self.names[0])[:40]}-{digest}"
 
 
 def plan_runs(
@@ -141,21 +162,14 @@ def plan_runs(
     ]
 
 
-@lru_cache
-def code_of(spec: str) -> int | None:
-    """Checksum of the file that holds a class of yours; None for known names, and for classes without a file."""
-    place = Spec.parse(spec).place
-    try:
-        found = find_spec(place[0]) if place else None
-    except (ImportError, ValueError):
-        return None
-    file = Path(found.origin) if found and found.has_location and found.origin else None
-    return zlib.crc32(file.read_bytes()) if file and file.is_file() else None
+def _version() -> str:
+    """Of the package that this module is in; it is loaded, and stands above this floor."""
+    return str(sys.modules[__name__.partition(".")[0]].__version__)
 
 
 def file_words(words: str) -> str:
-    """Text fit for a file name."""
-    return "".join(c if c.isalnum() or c in "-_[]()+" else "_" for c in words)[:120]
+    """Text fit for a file name: at most 120 letters, digits and signs that every file system takes."""
+    return "".join(c if (c.isascii() and c.isalnum()) or c in "-_[]()+" else "_" for c in words)[:120]
 
 
 def _chunks(names: tuple[str, ...], size: int) -> Iterator[tuple[str, ...]]:

@@ -96,6 +96,8 @@ def write_html(results: ArenaResults, drawn: Mapping[str, str], folder: Path, ab
         ("All results", [html.table(all_rows(results.rows_at)), html.preformatted(INTERVALS + "\n" + GLOSSARY)])
     )
     parts.append(("How it was made", [html.preformatted(about["command"]), html.facts(_facts(about))]))
+    if results.flags:
+        parts.insert(0, ("To be looked at", [html.paragraph(flag, "warning") for flag in results.flags]))
     if results.failed:
         parts.insert(0, ("Not played", [html.paragraph(results.failed, "warning")]))
     path = folder / "arena.html"
@@ -117,6 +119,8 @@ def write_markdown(
     words = {"defenders": RANKED, "attacks": LEFT_OVER}
     parts = [f"# {title}\n", lead(results) + "\n"]
     parts += [f"**Not played.**\n\n```\n{results.failed}\n```\n"] if results.failed else []
+    flags = "\n".join(f"* {flag}" for flag in results.flags)
+    parts += [f"**To be looked at.**\n\n{flags}\n"] if flags else []
     links = dict(links or {})
     for name, table in tables.items():
         heading = headings.get(name)

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import json
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -7,9 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from safetensors.torch import save_file
 
 from agents.learning import ppo
-from agents.learning.policy import Policy, load_policy, policy_names, save_policy
+from agents.learning.lstm import Memory
+from agents.learning.policy import FORMAT, MAX_LOG_STD, MEMORY, Policy, load_policy, policy_names, save_policy
 from agents.sb3 import make_vec_env
 from cp_env.world.scene_cache import SceneBank
 from defenders import names
@@ -131,3 +135,90 @@ def test_shipped_policies_are_small_and_name_a_defender(name: str) -> None:
     policy = load_policy(name)
     assert policy.defender.partition(":")[0] in names()
     assert policy.options and sum(weight.numel() for weight in policy.weights) < 50_000
+
+
+def tensors(recurrent: bool) -> dict[str, torch.Tensor]:
+    """Of a policy of three inputs and two actions, with a memory of four or without."""
+    shapes = {
+        "0.weight": (5, 4 if recurrent else 3),
+        "0.bias": (5,),
+        "1.weight": (2, 5),
+        "1.bias": (2,),
+        "log_std": (2,),
+    }
+    if recurrent:
+        shapes |= dict(zip([f"memory.{name}" for name in MEMORY], [(16, 3), (16, 4), (16,), (16,)], strict=True))
+    return {key: torch.full(shape, 0.1) for key, shape in shapes.items()}
+
+
+ABOUT: dict[str, Any] = {"defender": "prbi", "options": {}, "notes": {}, "joint": False, "format": FORMAT}
+
+
+def written(path: Path, of: dict[str, torch.Tensor], **about: Any) -> Path:
+    said = {key: value for key, value in {**ABOUT, **about}.items() if value != "drop"}
+    save_file(of, path, metadata={"about": json.dumps(said)})
+    return path
+
+
+@pytest.mark.parametrize("recurrent", [False, True])
+def test_a_whole_policy_is_loaded(tmp_path: Path, recurrent: bool) -> None:
+    policy = load_policy(written(tmp_path / "a.safetensors", tensors(recurrent)))
+    assert policy.n_inputs == 3 and len(policy.weights) == 2 and isinstance(policy.memory, Memory) == recurrent
+    assert policy(np.zeros((1, 2, 3), np.float32)).shape == (1, 2, 2)
+
+
+@pytest.mark.parametrize("recurrent", [False, True])
+def test_every_tensor_is_needed_and_has_one_shape_and_finite_numbers(tmp_path: Path, recurrent: bool) -> None:
+    whole = tensors(recurrent)
+    changes: list[Callable[[torch.Tensor], torch.Tensor]] = [
+        lambda tensor: tensor * torch.nan,
+        lambda tensor: tensor / 0,
+        lambda tensor: tensor.double(),
+        lambda tensor: tensor.long(),
+        lambda tensor: tensor[None],
+        lambda tensor: tensor[:0],
+        lambda tensor: torch.cat([tensor, tensor]),
+        lambda tensor: tensor.sum(),
+    ]
+    for key, tensor in whole.items():
+        with pytest.raises(ValueError, match=r"a\.safetensors is no policy: .*train one anew"):
+            load_policy(written(tmp_path / "a.safetensors", {k: t for k, t in whole.items() if k != key}))
+        for change in changes:
+            with pytest.raises(ValueError, match=r"a\.safetensors is no policy: .*train one anew"):
+                load_policy(written(tmp_path / "a.safetensors", whole | {key: change(tensor).contiguous()}))
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        ({"2.weight": torch.zeros(9, 3)}, "2.bias|2.weight"),
+        ({"7.weight": torch.zeros(9, 2)}, "2.weight is missing"),
+        ({"strange": torch.zeros(9)}, "beside its own, the tensor 'strange'"),
+        ({"memory.bias_ih": torch.zeros(16)}, "memory.weight_hh is missing"),
+        ({"log_std": torch.full((2,), MAX_LOG_STD + 1)}, "log_std must be at most"),
+    ],
+)
+def test_tensors_that_no_policy_has(tmp_path: Path, more: dict[str, torch.Tensor], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        load_policy(written(tmp_path / "a.safetensors", tensors(False) | more))
+
+
+@pytest.mark.parametrize(
+    ("about", "message"),
+    [
+        *(({name: value}, "each of its type") for name in ABOUT if name != "format" for value in (3, None, "drop")),
+        ({"more": 1}, "each of its type"),
+        ({"format": "cp_env policy 2"}, "no policy of the format"),
+        ({"format": ["x"]}, "no policy of the format"),
+        ({"notes": {"a": json.loads("[" * 50 + "]" * 50)}}, "nested deeper"),
+    ],
+)
+def test_what_a_policy_must_say_of_itself(tmp_path: Path, about: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=rf"a\.safetensors.*{message}"):
+        load_policy(written(tmp_path / "a.safetensors", tensors(False), **about))
+
+
+def test_names_that_no_file_can_have() -> None:
+    for name in ("x" * 5000 + ".safetensors", "a\0b.safetensors", "/dev/zero.safetensors", ""):
+        with pytest.raises(ValueError, match=r"policy"):
+            load_policy(name)

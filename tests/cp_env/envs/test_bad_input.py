@@ -7,10 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
+from agents.sb3 import make_vec_env
 from cp_env.envs.parallel import CollaborativePerceptionEnv
 from cp_env.envs.single import JointAdversaryEnv
 from cp_env.envs.vector import JointAdversaryVectorEnv
+from cp_env.world.scene_cache import SceneBank
 from cp_env.world.verification import DefenderError
 from defenders import Defender, Query, Verdict
 
@@ -191,3 +194,52 @@ def test_in_a_batch_the_other_worlds_go_on(bank: Any) -> None:
     assert np.array_equal(observations[~clumsy], expected[0][~clumsy])
     assert np.array_equal(rewards[~clumsy], expected[1][~clumsy])
     assert (infos["final_info"]["failed"][clumsy] == 1).all() and (infos["failed"] == 0).all()
+
+
+NO_ACTIONS = {
+    "text": "0.5",
+    "bytes": b"0.5",
+    "texts": ["0.5"] * 16,
+    "complex": np.full(16, 0.5 + 0.5j),
+    "masked": np.ma.masked_array(np.zeros(16), mask=[True] * 16),
+    "huge": [10**400] * 16,
+    "large": np.full(16, 1e300),
+    "objects": [None] * 16,
+    "ragged": [[0.0], [0.0, 1.0]],
+    "graph": torch.zeros(16, requires_grad=True),
+    "nan": np.full(16, np.nan),
+    "short": np.zeros(15),
+    "none": None,
+    "date": np.zeros(16, "datetime64[s]"),
+}
+
+
+@pytest.mark.parametrize("action", NO_ACTIONS.values(), ids=NO_ACTIONS)
+def test_what_is_no_action_is_a_value_error_everywhere(toy_env: Make, bank: SceneBank, action: Any) -> None:
+    """In the parallel view, the joint one, the vector one and SB3's; nothing is played."""
+    parallel = toy_env(action="basis")
+    parallel.reset(seed=0)
+    single = JointAdversaryEnv("none", bank=bank, action="basis", n_attackers=1)
+    single.reset(seed=0)
+    vector = JointAdversaryVectorEnv(1, "none", bank=bank, action="basis", n_attackers=1)
+    vector.reset(seed=0)
+    sb3 = make_vec_env(1, "none", bank=bank, action="basis", n_attackers=1)
+    sb3.reset()
+    plays: list[Callable[[], Any]] = [
+        lambda: parallel.step({"adversary_0": action, "adversary_1": np.zeros(16)}),
+        lambda: single.step(action),
+        lambda: vector.step([action]),
+        lambda: sb3.step([action]),
+    ]
+    for play in plays:
+        with pytest.raises(ValueError, match="action"):
+            play()
+    assert parallel.game.outcome is None and single.game.outcome is None
+
+
+@pytest.mark.parametrize("actions", [[0.5, 0.5], "adversary_0", None, 3])
+def test_actions_that_are_no_dict(toy_env: Make, actions: Any) -> None:
+    env = toy_env()
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match="step\\(\\) takes a dict from agent to action"):
+        env.step(actions)

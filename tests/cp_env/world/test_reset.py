@@ -4,22 +4,22 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 import pytest
 
 from cp_env.settings import Settings
-from cp_env.world.reset import options_of, plan_episode, sequence_of
+from cp_env.world.reset import options_of, plan_episode
 from cp_env.world.scene_cache import SceneBank
+from cp_env.world.streams import Stream
 from cp_env.world.world import World
 
 
 def test_a_plan_leaves_the_stream_as_it_was_and_holds_the_rest_of_it(bank: SceneBank) -> None:
-    seeds = np.random.SeedSequence(5)
-    first = plan_episode(bank, Settings(max_frames=3), seeds, {})
-    again = plan_episode(bank, Settings(max_frames=3), seeds, {})
-    assert seeds.n_children_spawned == 0 and first.seeds.n_children_spawned == 3
+    stream = Stream.of(5)
+    first, again = (plan_episode(bank, Settings(max_frames=3), stream, {}) for _ in range(2))
+    assert stream.episode == 0 and first.stream.episode == 1
     assert (first.scene, first.start, first.attackers) == (again.scene, again.start, again.attackers)
-    drawn = {plan_episode(bank, Settings(max_frames=3), np.random.SeedSequence(i), {}).attackers for i in range(30)}
+    assert first.rng.bit_generator.state == again.rng.bit_generator.state
+    drawn = {plan_episode(bank, Settings(max_frames=3), Stream.of(i), {}).attackers for i in range(30)}
     assert len(drawn) > 5
 
 
@@ -44,9 +44,3 @@ def test_one_bad_world_leaves_all_as_they_were(bank: SceneBank) -> None:
 def test_options_that_are_none(options: Any) -> None:
     with pytest.raises(ValueError, match=r"options|option of reset"):
         options_of(options, 2)
-
-
-@pytest.mark.parametrize("seed", [-1, 0.5, True, "0", None])
-def test_seeds_that_are_none(seed: Any) -> None:
-    with pytest.raises(ValueError, match="a seed is a whole number"):
-        sequence_of(seed)

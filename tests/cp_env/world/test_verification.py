@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable
 
 import numpy as np
@@ -84,6 +85,60 @@ def test_a_reference_that_the_paper_does_not_count_is_free() -> None:
     (judgement,), _ = run(Scripted([Query([{0}], verification=False), Query([{1}])], Verdict({0})))
     assert judgement.verifications == 1
     assert judgement.groups == (frozenset({0}), frozenset({1}))
+
+
+@pytest.mark.parametrize(
+    "free",
+    [
+        [{0}],
+        [range(N)],
+        [{1, 2}],  # the output
+        [{3}, range(N), {1, 2}, {3}],
+    ],
+)
+def test_what_is_free(free: list[Iterable[int]]) -> None:
+    """Everyone's view, the output's group, and one single-vehicle reference, however often each is asked for."""
+    (judgement,), _ = run(Scripted([Query([group], verification=False) for group in free], Verdict({1, 2})))
+    assert judgement.error is None and judgement.verifications == 0
+
+
+@pytest.mark.parametrize(
+    "unpaid",
+    [
+        [{0}, {1}],
+        [{0, 1}],
+        [{1, 2}, {2, 3}, {0}],
+        [group for size in (1, 2, 3) for group in itertools.combinations(range(N), size)],
+    ],
+)
+def test_more_than_that_is_an_error_and_no_discount(unpaid: list[Iterable[int]]) -> None:
+    for queries in ([Query(unpaid, verification=False)], [Query([group], verification=False) for group in unpaid]):
+        (judgement,), _ = run(Scripted(list(queries), Verdict({1, 2})))
+        assert judgement.error is not None
+        assert "were queried with verification=False" in judgement.error or "max_queries" in judgement.error
+        assert judgement.output.group == frozenset(range(N)), "it gets what an undefended ego gets"
+
+
+def test_a_group_that_is_paid_for_later_was_not_free() -> None:
+    queries = [Query([{0, 1}], verification=False), Query([{0, 1}])]
+    (judgement,), _ = run(Scripted(list(queries), Verdict({1, 2})))
+    assert judgement.error is None and judgement.verifications == 1
+
+
+class Coy(Query):
+    """A query that says it counts when it is asked once, and not when it is asked again."""
+
+    @property
+    def verification(self) -> bool:  # type: ignore[override]
+        return False
+
+    def __init__(self, groups: Iterable[Iterable[int]]) -> None:
+        object.__setattr__(self, "groups", tuple(frozenset(group) for group in groups))
+
+
+def test_a_query_of_a_class_of_its_own_counts_like_ours() -> None:
+    (judgement,), _ = run(Scripted([Coy([{0, 1}, {2, 3}])], Verdict({1, 2})))
+    assert judgement.error is not None and "verification=False" in judgement.error
 
 
 def test_the_view_of_everyone_is_never_computed_again() -> None:

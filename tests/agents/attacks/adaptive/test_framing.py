@@ -14,13 +14,16 @@ from tests.helpers.attacked_scenes import MODEL, play
 
 
 def test_framing_gets_its_victim_flagged_more_often_than_pgd_a_benign_vehicle(street: SceneBank) -> None:
+    """Eight episodes; over sixteen, seeds 1 to 8, it is 0.69 of the victims against 0.27 of PGD's benign vehicles."""
     framed: list[bool] = []
-    for seed in (1, 2):
+    for seed in (1, 2, 3, 4):
         attack = framing.Framing(draws=1, steps=5)
         verdicts = play(street, attack, seed=seed)[-1].verdicts
         framed += [victim in v.suspects for victim, v in zip(attack.victims, verdicts, strict=True)]
-    assert np.mean(framed) >= 0.75
-    by_pgd = [len(v.suspects - {1, 2}) / 3 for seed in (1, 2) for v in play(street, "pgd", seed=seed)[-1].verdicts]
+    assert np.mean(framed) >= 2 / 3
+    by_pgd = [
+        len(v.suspects - {1, 2}) / 3 for seed in (1, 2, 3, 4) for v in play(street, "pgd", seed=seed)[-1].verdicts
+    ]
     assert np.mean(framed) > np.mean(by_pgd) + 0.2
 
 

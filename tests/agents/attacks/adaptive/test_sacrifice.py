@@ -9,7 +9,7 @@ from tests.helpers.attacked_scenes import play
 
 
 def test_the_silent_ones_send_nothing_until_the_verdict_has_converged(street: SceneBank) -> None:
-    outcomes = play(street, "sacrifice")
+    outcomes = play(street, "sacrifice", seed=3)  # of seeds 1 to 8 half converge in both worlds within five frames
     settled = np.array([[v.converged and 2 not in v.collaborators for v in o.verdicts] for o in outcomes])
     spoke = np.array([o.perturbation_norm[:, 0] > 0 for o in outcomes])
     assert settled.any() and spoke.any(), "the test needs a verdict that converges"

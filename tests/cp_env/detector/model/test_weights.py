@@ -11,7 +11,7 @@ from safetensors.torch import save_file
 
 from cp_env.detector import Detector, load_detector
 from cp_env.detector.model.bev import BEV
-from cp_env.detector.model.weights import about, read_detector, save_detector
+from cp_env.detector.model.weights import FORMAT, about, read_detector, save_detector
 
 
 @pytest.fixture
@@ -95,3 +95,38 @@ def test_broken_files_are_named(trained: Detector, tmp_path: Path) -> None:
     save_file({"w": torch.zeros(1)}, path, metadata={key: json.dumps(value) for key, value in about.items()})
     with pytest.raises(ValueError, match=r"mean\.safetensors do not fit"):
         read_detector(path)
+
+
+GOOD = {"format": FORMAT, "grid": str(BEV), "fusion": "mean", "channels": 8, "threshold": 0.3}
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"channels": 10**9}, "with 1 to 1024 channels"),
+        ({"channels": 0}, "with 1 to 1024 channels"),
+        ({"channels": "8"}, "with 1 to 1024 channels"),
+        ({"channels": None}, "with 1 to 1024 channels"),
+        ({"fusion": "median"}, "fusion is one of"),
+        ({"fusion": ["mean"]}, "fusion is one of"),
+        ({"threshold": float("nan")}, "of no detector"),
+        ({"threshold": 2}, "of no detector"),
+        ({"note": json.loads("[" * 50 + "]" * 50)}, "nested deeper"),
+    ],
+)
+def test_what_weights_must_say_of_themselves(tmp_path: Path, change: dict[str, object], message: str) -> None:
+    path = tmp_path / "a.safetensors"
+    about = {key: json.dumps(value) for key, value in (GOOD | change).items()}
+    save_file({"w": torch.zeros(1)}, path, metadata=about)
+    with pytest.raises(ValueError, match=rf"a\.safetensors.*{message}"):
+        read_detector(path)
+
+
+@pytest.mark.parametrize("bad", [float("nan"), float("inf")])
+def test_weights_that_are_not_finite_are_refused(tmp_path: Path, bad: float) -> None:
+    detector = Detector(channels=8)
+    with torch.no_grad():
+        detector.decoder.head.bias[1] = bad
+    save_detector(detector, tmp_path / "a.safetensors")
+    with pytest.raises(ValueError, match=r"a\.safetensors hold numbers that are not finite, in decoder\.head\.bias"):
+        read_detector(tmp_path / "a.safetensors")

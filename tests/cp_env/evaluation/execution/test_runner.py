@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import errno
+import os
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -11,6 +14,8 @@ import pytest
 
 import agents
 from cp_env.evaluation import Conditions, Run, Store, Workers, execute, plan_runs, prepare
+from cp_env.evaluation.plan import files
+from cp_env.evaluation.plan.checksum import StoredRunWarning
 from cp_env.world.scene_cache import SceneBank
 from tests.helpers.toy_evaluation import CONDITIONS, RUNS, contents, report
 
@@ -47,9 +52,58 @@ def test_a_broken_run_is_played_again(whole: Path, workers: Workers, tmp_path: P
         (tmp_path / name).write_bytes(data)
     torn = Store(tmp_path).path(RUNS[3], CONDITIONS)
     torn.write_bytes(torn.read_bytes()[:200])
-    assert Store(tmp_path).read(RUNS[3], CONDITIONS) is None
-    assert len(list(execute(RUNS, CONDITIONS, Store(tmp_path), replace(workers, make_attack=failing(1))))) == len(RUNS)
+    with pytest.warns(StoredRunWarning, match=f"were cut or changed .*played anew: {torn.name[:20]}"):
+        done = list(execute(RUNS, CONDITIONS, Store(tmp_path), replace(workers, make_attack=failing(1))))
+    assert len(done) == len(RUNS)
     assert contents(tmp_path) == contents(whole)
+
+
+def test_all_that_is_wrong_with_a_store_is_told_once_a_kind(whole: Path, workers: Workers, tmp_path: Path) -> None:
+    shutil.copytree(whole / "runs", tmp_path / "runs")
+    store = Store(tmp_path)
+    paths = [store.path(run, CONDITIONS) for run in RUNS]
+    paths[0].write_bytes(b"")
+    paths[1].write_bytes(b"")
+    shutil.copy(paths[2], paths[3])
+    copy = paths[2].with_name("copy.json")
+    shutil.copy(paths[2], copy)
+    draft = (
+        tmp_path / "runs" / f".x.json.{files._machine()}.4194305{files.DRAFT}"
+    )  # more than a process's number can be
+    draft.touch()
+    with pytest.warns(StoredRunWarning) as caught:
+        list(execute(RUNS, CONDITIONS, store, replace(workers, make_attack=failing(3))))
+    said = [str(warning.message) for warning in caught]
+    assert [text.split()[0] for text in said] == ["2", "1", "1"]
+    assert "are empty" in said[0] and paths[3].name in said[1] and "left alone" in said[2] and "copy.json" in said[2]
+    assert not draft.exists() and copy.exists()
+    copy.unlink()
+    assert contents(tmp_path / "runs") == contents(whole / "runs")
+
+
+def test_a_store_that_cannot_be_written_is_refused_before_anything_is_played(workers: Workers, tmp_path: Path) -> None:
+    (tmp_path / "out").write_text("a file")
+    with pytest.raises(ValueError, match=r"cannot write .*out.*give another folder"):
+        list(execute(RUNS, CONDITIONS, Store(tmp_path / "out"), replace(workers, make_attack=failing(0))))
+
+
+def test_a_disk_that_fills_up_loses_no_finished_run(
+    whole: Path, workers: Workers, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sync, left = os.fsync, iter(range(3))  # one for the probe, two runs
+
+    def full(number: int) -> None:
+        if next(left, None) is None:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        sync(number)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(files.os, "fsync", full)
+        with pytest.raises(ValueError, match=r"cannot write .*\(No space left on device\): make room") as caught:
+            list(execute(RUNS, CONDITIONS, Store(tmp_path), workers))
+    assert "\n" not in str(caught.value)
+    assert len(contents(tmp_path)) == 2 and not list((tmp_path / "runs").glob(".*"))
+    assert set(execute(RUNS, CONDITIONS, Store(tmp_path), workers)) == set(RUNS)
 
 
 def test_scenes_in_lock_step_give_what_each_gives_alone(whole: Path, workers: Workers, tmp_path: Path) -> None:

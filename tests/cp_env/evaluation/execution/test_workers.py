@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Sequence
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from agents.arena import make_attack
 from cp_env.evaluation import FailedRuns, Store, Workers, execute, plan_runs
+from cp_env.evaluation.execution.processes import Failure, in_processes
 from tests.helpers.toy_evaluation import CONDITIONS, RUNS, open_toy, untimed
 
 NO_RAY = pytest.mark.skipif(find_spec("ray") is None, reason="ray is not installed: pip install -e '.[ray]'")
@@ -51,3 +60,113 @@ def test_a_single_worker_goes_on_over_failures_too(tmp_path: Path) -> None:
     with pytest.raises(FailedRuns, match="1 of 2 runs failed"):
         list(execute(runs, CONDITIONS, Store(tmp_path), workers))
     assert list(Store(tmp_path).load(runs, CONDITIONS)) == [run for run in runs if run.attack == "none"]
+
+
+# -- workers end with whoever started them ----------------------------------------------------------------------------
+
+ROOT = Path(__file__).parents[4]
+
+
+def sleeping(folder: str, number: int) -> None:
+    """A call that is long in C, which lets other threads run, as torch does."""
+    (Path(folder) / f"{os.getpid()}").touch()
+    time.sleep(600 + number)
+
+
+def stuck(folder: str, number: int) -> None:
+    """A call that holds the interpreter's lock in C for minutes, so that no other thread of its process ever runs."""
+    (Path(folder) / f"{os.getpid()}").touch()
+    pow(3, 10 ** (8 + number))
+
+
+def quick(number: int) -> int:
+    return number * number
+
+
+def start(task: Callable[..., object], folder: Path, from_thread: bool = False) -> None:
+    """Two workers that never finish; in a process of its own."""
+
+    def work() -> None:
+        list(in_processes(task, [(str(folder), 0), (str(folder), 1)], 2, 1))
+
+    if from_thread:
+        thread = threading.Thread(target=work)
+        thread.start()
+        thread.join()
+    else:
+        work()
+
+
+def parent_of(folder: Path, task: str, from_thread: bool = False) -> tuple[subprocess.Popen[bytes], list[int]]:
+    """A process whose two workers are at work, and their numbers."""
+    code = (
+        "import sys, pathlib; import tests.cp_env.evaluation.execution.test_workers as t; "
+        f"t.start(t.{task}, pathlib.Path({str(folder)!r}), {from_thread})"
+    )
+    parent = subprocess.Popen([sys.executable, "-c", code], cwd=ROOT)
+    deadline = time.monotonic() + 120
+    while len(found := [int(file.name) for file in folder.iterdir()]) < 2:
+        assert parent.poll() is None and time.monotonic() < deadline
+        time.sleep(0.02)
+    return parent, found
+
+
+def alive(process: int) -> bool:
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] not in "ZX"
+    except OSError:
+        return False
+
+
+def gone_after(processes: Sequence[int], limit: float) -> float:
+    """Seconds until none of them lives."""
+    begin = time.monotonic()
+    while any(map(alive, processes)):
+        assert time.monotonic() - begin < limit, "a worker outlives its parent"
+        time.sleep(0.01)
+    return time.monotonic() - begin
+
+
+NO_PROC = pytest.mark.skipif(not Path("/proc/self/stat").is_file(), reason="finds the workers in /proc")
+
+
+@NO_PROC
+@pytest.mark.parametrize(("task", "from_thread"), [("sleeping", False), ("sleeping", True), ("stuck", False)])
+def test_workers_end_within_two_seconds_of_their_killed_parent(task: str, from_thread: bool, tmp_path: Path) -> None:
+    if task == "stuck" and sys.platform != "linux":
+        pytest.skip("only Linux's kernel ends a process whose threads cannot run")
+    parent, workers = parent_of(tmp_path, task, from_thread)
+    try:
+        assert all(map(alive, workers))
+        os.kill(parent.pid, signal.SIGKILL)
+        parent.wait()
+        assert gone_after(workers, 2.0) < 2.0
+    finally:
+        for process in workers:
+            if alive(process):
+                os.kill(process, signal.SIGKILL)
+
+
+@NO_PROC
+def test_workers_end_with_whoever_stops_asking(tmp_path: Path) -> None:
+    calls: list[tuple[Any, ...]] = [(str(tmp_path), 0), (str(tmp_path), 1)]
+    answers = in_processes(sleeping_but_first, calls, 2, 1)
+    assert next(answers) == (0, None)
+    workers = [int(file.name) for file in tmp_path.iterdir()]
+    answers.close()  # type: ignore[attr-defined]
+    gone_after(workers, 2.0)
+
+
+def sleeping_but_first(folder: str, number: int) -> None:
+    (Path(folder) / f"{os.getpid()}").touch()
+    time.sleep(600 * number)
+
+
+def test_workers_outlive_the_thread_that_started_them() -> None:
+    """Linux's signal is tied to the thread: one that ends must not take workers along that another still asks."""
+    answers = in_processes(quick, [(n,) for n in range(4)], 1, 1)
+    first: list[tuple[int, int | Failure]] = []
+    thread = threading.Thread(target=lambda: first.append(next(answers)))
+    thread.start()
+    thread.join()
+    assert first + list(answers) == [(n, n * n) for n in range(4)]

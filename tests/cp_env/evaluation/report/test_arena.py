@@ -40,6 +40,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
         for number, run in enumerate(grid.runs):
             harm = 0.0 if run.attack == "none" else (number * 37 % 100) / 100
             frames = {
+                "attackers": (1, 3, 4)[: run.k],
                 "damage": (0.0, harm, harm),
                 "error": "why" if number == 3 else None,
                 "informed": run.defender == "seer",
