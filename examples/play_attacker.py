@@ -26,7 +26,7 @@ from agents.learning.rollout import Episodes, play
 from agents.learning.sweep import slug
 from agents.learning.training import open_bank
 from cp_env.evaluation import Conditions, Run
-from cp_env.evaluation.plan.records import write_atomically
+from cp_env.evaluation.plan.files import write_atomically
 from cp_env.evaluation.plan.runs import file_words
 from cp_env.evaluation.report.video import render_episode
 from cp_env.metrics.intervals import t_interval

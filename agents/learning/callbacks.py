@@ -12,7 +12,7 @@ from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 
 from agents.learning.policy import Policy, save_policy
 from agents.learning.rollout import Episodes
-from cp_env.evaluation.plan.records import write_atomically
+from cp_env.evaluation.plan.files import write_atomically
 
 EVALUATED = ("damage", "similarity", "verifications", "excluded")
 

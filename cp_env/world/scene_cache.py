@@ -81,6 +81,25 @@ class SceneBank:
                 drop(self.store.place(left.scene), os.getpid())
         return self._episodes[key]
 
+    def check(self, n_vehicles: int, rsu: bool) -> None:
+        """Look at scenes until one suits, mostly the first, so that what none has is refused before a reset.
+
+        A source without end is left alone: to make a scene takes it seconds.
+
+        Raises:
+            ValueError: no scene has so many connected vehicles, or none a road-side unit if one is asked for.
+        """
+        first: ValueError | None = None
+        for name in () if self.endless else self.source.names():
+            try:
+                _agents(self.source.load(name), n_vehicles, rsu)
+            except ValueError as error:
+                first = first or error
+            else:
+                return
+        if first is not None:
+            raise first
+
     def _build(self, name: str, n_vehicles: int, rsu: bool) -> Episode:
         scene, store = self.source.load(name), self.store
         agents, n_frames = _agents(scene, n_vehicles, rsu), scene.n_frames

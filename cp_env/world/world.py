@@ -107,6 +107,7 @@ class World:
         self.settings = Settings.of(rest) if settings is None else replace(settings, **rest)
         if bank is None:
             bank = open_bank(self.settings.fusion, **{**WORLD_DEFAULTS, **place})
+            bank.check(self.settings.n_vehicles, self.settings.rsu)
         self.num_envs, self.bank, self.detector = num_envs, bank, bank.detector
         self.device = self.detector.device
         prototype = defenders.make(defender)

@@ -32,7 +32,7 @@ from rich.console import Console
 from rich.progress import track
 
 from cp_env import evaluation
-from cp_env.evaluation.plan.records import write_atomically
+from cp_env.evaluation.plan.files import write_atomically
 from cp_env.geometry.planar import corners
 from cp_env.rendering.camera import Camera
 from cp_env.rendering.frame import wrong_rows

@@ -28,7 +28,7 @@ from rich.table import Table
 
 import agents
 from cp_env.detector import load_detector
-from cp_env.evaluation.plan.records import write_atomically
+from cp_env.evaluation.plan.files import write_atomically
 from cp_env.metrics.intervals import t_interval
 from cp_env.scenes import open_source
 from cp_env.world.scene_cache import SceneBank

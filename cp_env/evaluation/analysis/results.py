@@ -21,8 +21,8 @@ from cp_env.evaluation.analysis.worst_case import (
     rank_defenders,
 )
 from cp_env.evaluation.analysis.worst_episodes import Worst, worst_episodes
+from cp_env.evaluation.plan.files import write_atomically
 from cp_env.evaluation.plan.grid import Grid
-from cp_env.evaluation.plan.records import write_atomically
 from cp_env.evaluation.plan.runs import file_words
 
 

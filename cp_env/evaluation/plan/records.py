@@ -18,8 +18,6 @@ from cp_env.evaluation.plan.runs import Conditions, Run
 from cp_env.metrics.average_precision import ApMeter
 from cp_env.scenes.formats.bounded import read_bytes
 
-__all__ = ["IOUS", "PooledApMeter", "Record", "Store", "write_atomically"]
-
 IOUS = (0.5, 0.7)
 
 RECORD_BYTES = 16 << 20

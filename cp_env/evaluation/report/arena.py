@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from cp_env.evaluation.analysis.results import ArenaResults
-from cp_env.evaluation.plan.records import write_atomically
+from cp_env.evaluation.plan.files import write_atomically
 from cp_env.evaluation.report import html, plots
 from cp_env.evaluation.report.benchmark import GLOSSARY, INTERVALS
 from cp_env.evaluation.report.tables import (

@@ -14,7 +14,7 @@ from typing import Any
 from rich.table import Table
 
 from cp_env.evaluation.analysis.summary import Row
-from cp_env.evaluation.plan.records import write_atomically
+from cp_env.evaluation.plan.files import write_atomically
 from cp_env.evaluation.plan.runs import Conditions
 from cp_env.metrics.intervals import Interval
 

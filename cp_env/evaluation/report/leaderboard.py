@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from cp_env.evaluation.analysis.results import ArenaResults
-from cp_env.evaluation.plan.records import write_atomically
+from cp_env.evaluation.plan.files import write_atomically
 from cp_env.evaluation.report.arena import write_markdown
 
 TITLES = {"defenders": "defenders", "attacks": "attacks", "ap50": "trade-off"}

@@ -11,7 +11,7 @@ from cp_env.evaluation.analysis.worst_episodes import Worst
 from cp_env.evaluation.execution.processes import Failure
 from cp_env.evaluation.execution.rollout import Rollout
 from cp_env.evaluation.execution.workers import MakeAttack, Workers
-from cp_env.evaluation.plan.records import write_atomically
+from cp_env.evaluation.plan.files import write_atomically
 from cp_env.evaluation.plan.runs import Conditions, Run
 from cp_env.rendering.camera import Camera
 from cp_env.rendering.frame import RIGHT, TOP, Image3, write_gif

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+import cp_env
 from agents.sb3 import make_vec_env
 from cp_env.envs.parallel import CollaborativePerceptionEnv
 from cp_env.envs.single import JointAdversaryEnv
@@ -60,6 +61,12 @@ def test_more_vehicles_than_a_scene_holds(toy_env: Make) -> None:
     env = toy_env(n_vehicles=6)
     with pytest.raises(ValueError, match=r"n_vehicles = 6, but scene 'toy-\d' holds only 5 .* lower n_vehicles"):
         env.reset(seed=0)
+
+
+@pytest.mark.parametrize("make", [cp_env.parallel_env, cp_env.env, lambda **options: cp_env.vector_env(2, **options)])
+def test_more_vehicles_than_any_scene_holds_are_refused_at_once(make: Callable[..., object]) -> None:
+    with pytest.raises(ValueError, match=r"n_vehicles = 9, but scene '.*' holds only \d+ .* lower n_vehicles"):
+        make(n_vehicles=9)
 
 
 def test_options(toy_env: Make) -> None:

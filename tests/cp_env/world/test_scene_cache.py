@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ import torch
 from cp_env.detector import Detector, load_detector
 from cp_env.detector.model.fusion import FUSIONS
 from cp_env.detector.protocol import SharesMaps
+from cp_env.types import Scene
 from cp_env.world.cache_folder import stored_scenes
 from cp_env.world.episode import stack_maps
 from cp_env.world.scene_cache import SceneBank
@@ -158,3 +160,19 @@ def test_no_road_side_unit_where_one_is_wanted(detector: Detector, tmp_path: Pat
     bank = SceneBank(ToySource(n_frames=2, rsu=False), detector, tmp_path, progress=False)
     with pytest.raises(ValueError, match="no road-side unit"):
         bank.episode("toy-0", 3, True)
+
+
+class Uneven(ToySource):
+    """Its first scene has two connected vehicles, the others five."""
+
+    def load(self, name: str) -> Scene:
+        scene = super().load(name)
+        return replace(scene, connected=scene.connected[:2]) if name == self.names()[0] else scene
+
+
+def test_a_check_refuses_only_what_no_scene_holds(detector: Detector, tmp_path: Path) -> None:
+    bank = SceneBank(Uneven(n_frames=2), detector, tmp_path, progress=False)
+    for n_vehicles in (2, 5):
+        bank.check(n_vehicles, rsu=False)
+    with pytest.raises(ValueError, match=r"n_vehicles = 6, but scene 'toy-0' holds only 2"):
+        bank.check(6, rsu=False)

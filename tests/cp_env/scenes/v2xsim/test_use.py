@@ -83,7 +83,7 @@ def test_environments_play_in_it(spec: str, det: str, kind: str) -> None:
     envs.reset(seed=0)
     envs.step(envs.action_space.sample())
     with pytest.raises(ValueError, match="holds only 3 connected vehicles"):
-        cp_env.parallel_env("ego_only", scenes=scenes, n_vehicles=5).reset(seed=0)
+        cp_env.parallel_env("ego_only", scenes=scenes, n_vehicles=5)
 
 
 def documented() -> list[list[str]]:
