@@ -16,7 +16,7 @@ LEADERBOARD ?= --defenders none ego_only prbi prbi:threshold=calibrated robosac 
 	--ks 2 1 4 --budgets 0.3 0.1 --off-baseline-attacks pgd --n-scenes 3 --frames 20 --batch 3
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: demo test lint bench attacks devkit docs libraries $(LIBRARIES:%=library-%) ray leaderboard sumo record clean
+.PHONY: demo test lint mutants bench attacks devkit docs libraries $(LIBRARIES:%=library-%) ray leaderboard sumo record clean
 .DEFAULT_GOAL := demo
 
 demo: $(READY) ## the small benchmark: prints a table and writes out/demo/ with a video of one episode
@@ -30,6 +30,9 @@ lint: $(READY) ## style, types, import contracts
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+mutants: $(READY) ## put hand-made mistakes into a copy of the tree: the tests must catch each; a quarter of an hour
+	$(BIN)/python -m tests.mutants.run --workers $(WORKERS)
 
 bench: $(READY) ## speed, on one torch thread
 	$(BIN)/python -m pytest benchmarks --benchmark-only --benchmark-columns=median,iqr,rounds
