@@ -56,6 +56,7 @@ class JointAdversaryVectorEnv(VectorEnv[Any, NDArray[Any], NDArray[Any]]):
         autoreset_mode: str | AutoresetMode = AutoresetMode.SAME_STEP,
         **options: Unpack[Options],
     ) -> None:
+        self._window = Window("collaborative perception", RENDER_FPS)  # first: gymnasium closes what failed to begin
         self.render_mode = check_render_mode(options.pop("render_mode", None))
         self.autoreset_mode = _supported(autoreset_mode)
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
@@ -68,7 +69,6 @@ class JointAdversaryVectorEnv(VectorEnv[Any, NDArray[Any], NDArray[Any]]):
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._over = np.ones(num_envs, dtype=bool)  # worlds that wait for a reset
         self._begun = False
-        self._window = Window("collaborative perception", RENDER_FPS)
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
