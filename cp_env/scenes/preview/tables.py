@@ -34,7 +34,8 @@ def _scene(figures: Figures) -> Table:
     scene = figures.scene
     there = ~np.isnan(figures.seen)
     table = _table(f"{scene.name}: {len(figures.frames)} of {scene.n_frames} frames used", "", "")
-    table.columns[1].justify = "left"
+    names, values = table.columns
+    names.min_width, values.justify, values.no_wrap = len("redundancy"), "left", False  # narrow windows break lines
     unit = "no road-side unit" if scene.rsu is None else f"and a road-side unit {scene.rsu[2]:.1f} m up"
     table.add_row("agents", f"{scene.n_connected} connected vehicles {unit}")
     low, high = figures.present.min(), figures.present.max()
