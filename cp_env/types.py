@@ -10,9 +10,10 @@ Convention:
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -92,6 +93,17 @@ class View:
         for name in ("detections", "seen"):
             found: Detections = getattr(self, name)
             object.__setattr__(self, name, Detections(frozen(found.boxes), frozen(found.scores)))
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> View:
+        """Itself: a view never changes, so copies of whoever holds it may share it."""
+        return self
+
+    def twin(self) -> View:
+        """Another object over the same read-only arrays: whoever sets its fields by force leaves this one alone."""
+        twin = copy.copy(self)
+        for name in ("detections", "seen"):
+            object.__setattr__(twin, name, copy.copy(getattr(self, name)))
+        return twin
 
 
 @runtime_checkable

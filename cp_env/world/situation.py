@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
@@ -58,7 +59,10 @@ class Situation:
                 copies[one.name] = value.clone()
             elif isinstance(value, np.ndarray):
                 copies[one.name] = value.copy()
-        return replace(self, clean=Dense(self.clean.logits.clone(), self.clean.boxes.clone()), **copies)
+        copies["clean"] = Dense(self.clean.logits.clone(), self.clean.boxes.clone())
+        copies["output"] = tuple(view and view.twin() for view in self.output)
+        copies["verdict"] = tuple(verdict and copy.copy(verdict) for verdict in self.verdict)
+        return replace(self, **copies)
 
     def ego_detector(self, worlds: Int[Tensor, " B"] | slice = slice(None)) -> DetectorLike:
         """The detector bound to the ego context of `worlds`: for rows of `received[worlds]`."""

@@ -49,10 +49,15 @@ class Frame:
         """Consistency of two views' score maps (PASAC's CCLoss)."""
         return similarity.agreement(a, b)
 
+    def _shown(self) -> Frame:
+        """The same for a defender, with twins of the views and a memo of its own: it can change nothing here."""
+        return Frame(self.index, self.n_vehicles, self.seen.twin(), self._previous and self._previous.twin())
+
 
 def _key(a: View, b: View) -> tuple[int, int]:
-    """The same for both orders; no other pair's as long as the memo holds both objects."""
-    return (id(a), id(b)) if id(a) < id(b) else (id(b), id(a))
+    """The same for both orders and for twins; no other pair's as long as the memo holds both views."""
+    one, other = id(a.seen.boxes), id(b.seen.boxes)
+    return (one, other) if one < other else (other, one)
 
 
 def prefetch_similarities(verified: Sequence[tuple[Frame, View]]) -> None:
@@ -83,6 +88,7 @@ class _Case:
 
     world: int
     frame: Frame
+    shown: Frame  # what the defender gets of it
     defender: Defender
     views: dict[frozenset[int], View]
     inspection: Inspection | None = None
@@ -109,16 +115,20 @@ class _Case:
         """Send the answers to the pending query; keep the next query or the verdict. A failure ends this case only."""
         try:
             if self.inspection is None:
-                self.inspection = self.defender.inspect(self.frame)
+                self.inspection = self.defender.inspect(self.shown)
                 request = next(self.inspection)
             else:
                 assert self.query is not None
-                request = self.inspection.send([self.views[group & self.present] for group in self.query.groups])
+                request = self.inspection.send([self._answer(group & self.present) for group in self.query.groups])
             self.query = self._checked(request)
         except StopIteration as stop:
             self._conclude(stop.value)
         except Exception as error:  # whatever a plug-in raises must not reach the other worlds
             self._fail(f"{type(error).__name__}: {error}")
+
+    def _answer(self, group: frozenset[int]) -> View:
+        """A twin of the group's view: the output is made of ours."""
+        return self.shown.seen if group == self.present else self.views[group].twin()
 
     def _checked(self, request: object) -> Query:
         if not isinstance(request, Query):
@@ -193,10 +203,10 @@ def judge(frames: Sequence[Frame], defenders: Sequence[Defender], perceive: Perc
         One judgement a world.
     """
     cases = [
-        _Case(world=e, frame=frame, defender=defender, views={frame.seen.group: frame.seen})
+        _Case(world=e, frame=frame, shown=frame._shown(), defender=defender, views={frame.seen.group: frame.seen})
         for e, (frame, defender) in enumerate(zip(frames, defenders, strict=True))
     ]
-    prefetch_similarities([(frame, frame.seen) for frame in frames])
+    _compare([(case, case.frame.seen) for case in cases])
     try:
         running = cases
         while running:
@@ -219,7 +229,14 @@ def _compute_missing(perceive: Perceive, wanted: Sequence[tuple[_Case, frozenset
         views = perceive(list(missing))
         for (pair, case), view in zip(missing.items(), views, strict=True):
             case.views[pair[1]] = view
-        prefetch_similarities([(case.frame, view) for case, view in zip(missing.values(), views, strict=True)])
+        _compare(list(zip(missing.values(), views, strict=True)))
+
+
+def _compare(verified: Sequence[tuple[_Case, View]]) -> None:
+    """Compare new views with the last outputs, and let the defenders know."""
+    prefetch_similarities([(case.frame, view) for case, view in verified])
+    for case, _ in verified:
+        case.shown._memo.update(case.frame._memo)
 
 
 def _judgement(case: _Case) -> Judgement:

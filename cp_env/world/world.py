@@ -64,8 +64,8 @@ class _State:
     informed: bool = False  # whether the defender was shown the attackers of this episode
 
     def with_rng(self, rng: np.random.Generator) -> Defender:
-        """A copy of the defender with another generator; the last output, which never changes, is shared."""
-        twin: Defender = copy.deepcopy(self.defender, {id(self.rng): rng, id(self.output): self.output})
+        """A copy of the defender with another generator; views, which never change, are shared."""
+        twin: Defender = copy.deepcopy(self.defender, {id(self.rng): rng})
         return twin
 
 
@@ -270,7 +270,8 @@ class World:
         """See `Situation.simulate`."""
         if len(rngs) != self.num_envs:
             raise ValueError(f"one generator a world is needed: {self.num_envs} worlds, {len(rngs)} generators")
-        return self._play(delta, [s.with_rng(own) for s, own in zip(self._worlds, rngs, strict=True)])
+        played = self._play(delta, [s.with_rng(own) for s, own in zip(self._worlds, rngs, strict=True)])
+        return replace(played, clean=tuple(view.twin() for view in played.clean))  # the bank's views stay its own
 
     def _play(self, delta: Float[Tensor, "E k C H W"], defenders: Sequence[Defender]) -> SimulatedOutcome:
         situation = self.current()

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 
+from cp_env.types import Detections, View
 from cp_env.world.scene_cache import SceneBank
 from cp_env.world.situation import Outcome
 from cp_env.world.world import World
@@ -81,8 +82,72 @@ def vandalise(situation: Any) -> None:
                 thing.zero_()
         elif thing.flags.writeable:
             thing[...] = 7
+    for name in ("output", "verdict"):
+        replace_fields(getattr(situation, name))
+    simulated = situation.simulate(torch.zeros(situation.attackers.shape + situation.received.shape[2:]), rngs())
+    replace_fields(simulated.clean)
     for name in ("budget", "norm", "output", "verdict"):
         object.__setattr__(situation, name, None)
+
+
+def rngs() -> list[np.random.Generator]:
+    return [np.random.default_rng(e) for e in range(2)]
+
+
+def replace_fields(things: Any) -> None:
+    """Put something else into every field of frozen views and verdicts, by the way that freezing leaves open."""
+    for thing in things:
+        if isinstance(thing, View):
+            for found in (one for one in (thing.detections, thing.seen) if isinstance(one, Detections)):
+                object.__setattr__(found, "boxes", np.zeros((0, 5)))
+                object.__setattr__(found, "scores", np.zeros(0))
+        if thing is not None:
+            for one in fields(thing):
+                object.__setattr__(thing, one.name, frozenset())
+
+
+class Vandal(Keeper):
+    """Replaces all that it was shown: at once, while it ends, and when it is asked for its belief."""
+
+    def inspect(self, frame: Frame) -> Inspection:
+        try:
+            verdict = yield from super().inspect(frame)
+            shown = [frame.seen, *self.kept, *vars(frame).values()]
+            replace_fields([view for view in shown if isinstance(view, View)])
+            vars(frame)["_memo"].clear()
+            return verdict
+        finally:
+            replace_fields(self.kept)
+
+    def belief(self) -> np.ndarray:
+        replace_fields(self.kept)
+        return np.zeros(5)
+
+
+def test_a_defender_that_replaces_what_it_was_shown_changes_nothing(bank: SceneBank) -> None:
+    def episode(defender: Defender) -> list[Outcome]:
+        world = World(2, defender=defender, bank=bank, attackers=(1, 3), grace_frames=1, max_frames=3)
+        world.reset([0, 1])
+        outcomes = []
+        for _ in range(3):
+            outcomes.append(world.step(delta(world)))
+            for one in world.defenders:
+                one.belief()
+        return outcomes
+
+    for expected, found in zip(episode(Quiet()), episode(Vandal()), strict=True):
+        assert expected.errors == found.errors == (None, None)
+        assert [j.verdict for j in expected.judgements] == [j.verdict for j in found.judgements]
+        for (name, one), (_, other) in zip(arrays(expected), arrays(found), strict=True):
+            if name != ".seconds":
+                np.testing.assert_array_equal(one, other, err_msg=name)
+
+
+class Quiet(Keeper):
+    """The same, without the vandalism."""
+
+    def belief(self) -> np.ndarray:
+        return np.zeros(5)
 
 
 def test_an_attack_that_overwrites_its_situation_changes_nothing(bank: SceneBank) -> None:

@@ -71,9 +71,16 @@ MUTANTS = (
     Mutant(
         "a-memo-of-one-order",
         FILE,
-        "(id(a), id(b)) if id(a) < id(b) else (id(b), id(a))",
-        "(id(a), id(b))",
+        "(one, other) if one < other else (other, one)",
+        "(one, other)",
         TESTS,
+    ),
+    Mutant(
+        "answers-that-are-the-referees-own",
+        FILE,
+        "else self.views[group].twin()",
+        "else self.views[group]",
+        ("tests/cp_env/world/test_handed_out.py",),
     ),
     Mutant(
         "belief-of-the-last-vehicles", FILE, "padded[: len(belief)]", "padded[n_vehicles - len(belief) :]", TESTS_EDGES

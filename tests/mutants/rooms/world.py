@@ -180,8 +180,8 @@ MUTANTS = (
     Mutant(
         "a-simulation-with-the-real-rng",
         "cp_env/world/world.py",
-        "{id(self.rng): rng, id(self.output): self.output}",
-        "{id(self.output): self.output}",
+        "{id(self.rng): rng}",
+        "{}",
         SITUATION,
     ),
     Mutant(
