@@ -36,7 +36,7 @@ class Keeper(Defender):
         self.n, self.kept = n_vehicles, []  # type: ignore[var-annotated]
 
     def inspect(self, frame: Frame) -> Inspection:
-        (alone, pair) = yield Query([{0}, {1, 2}])
+        (alone, pair) = yield Query([{0}, {0, 1}])  # the second becomes the output
         self.kept += [frame.seen, alone, pair]
         return Verdict({0, 1})
 
