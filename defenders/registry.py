@@ -15,6 +15,7 @@ import ast
 import inspect
 import math
 import re
+import reprlib
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from difflib import get_close_matches
@@ -101,9 +102,31 @@ def nearest(word: str, known: Iterable[str]) -> str:
     return f" (did you mean {close[0]!r}?)" if close else ""
 
 
+class _Short(reprlib.Repr):
+    """Texts, collections and numbers of any size and depth in a few characters."""
+
+    maxlevel, maxother, maxlong = 4, 400, 400
+
+    def repr_str(self, text: str, level: int) -> str:
+        return repr(text if len(text) <= 400 else text[:400] + "…")
+
+
+def shown(value: object, width: int = 80) -> str:
+    """A value for an error message: its `repr` in at most so many characters, whatever it is.
+
+    However large or deep the value, this takes little time and memory, and it never fails.
+    """
+    try:
+        text = _Short().repr(value)
+    except Exception:  # a `repr` of somebody's, or a number of more digits than Python writes
+        text = f"<{type(value).__name__}>"
+    return text if len(text) <= width else f"{text[: width - 1]}…"
+
+
 def unknown(what: str, word: object, known: Collection[str]) -> ValueError:
     """The error for a word that is not known, with the nearest known one."""
-    return ValueError(f"unknown {what} {word!r}{nearest(str(word), known)}; known: {', '.join(known)}")
+    close = nearest(word, known) if isinstance(word, str) else ""
+    return ValueError(f"unknown {what} {shown(word, 200)}{close}; known: {', '.join(known)}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,7 +182,7 @@ class Registry(Generic[T]):
             return spec
         if not callable(spec):
             raise ValueError(
-                f"a {self.family} is a name, an object, or what builds one; got {type(spec).__name__} {spec!r:.80}"
+                f"a {self.family} is a name, an object, or what builds one; got {type(spec).__name__} {shown(spec)}"
             )
         return self._build(spec, getattr(spec, "__name__", repr(spec)), options)
 
@@ -279,7 +302,7 @@ def checked_value(key: str, value: Any, kind: Any) -> Any:
             return _checked(value, alternative)
         except (ValueError, TypeError, OverflowError):
             continue
-    raise ValueError(f"{key} must be {_described(alternatives)}, not {value!r:.80}{_near(value, alternatives)}")
+    raise ValueError(f"{key} must be {_described(alternatives)}, not {shown(value)}{_near(value, alternatives)}")
 
 
 def _near(value: Any, kinds: Iterable[Any]) -> str:
@@ -297,7 +320,7 @@ def _value(key: str, value: Any, kind: Any) -> Any:
             return _read(value, alternative)
         except (ValueError, TypeError, KeyError, OverflowError):
             continue
-    raise ValueError(f"{key} must be {_described(alternatives)}, not {value!r:.80}{_near(value, alternatives)}")
+    raise ValueError(f"{key} must be {_described(alternatives)}, not {shown(value)}{_near(value, alternatives)}")
 
 
 def _read(text: str, kind: Any) -> Any:
@@ -342,16 +365,28 @@ def _checked(value: Any, kind: Any) -> Any:
         return bool(value)
     if origin is tuple and isinstance(value, list):
         return tuple(value)
-    if inspect.isclass(origin) and origin in (bool, str, tuple, Path) and not isinstance(value, origin):
+    if inspect.isclass(origin) and not _is_of(value, origin):
         return _refuse()
     return value
 
 
+def _is_of(value: Any, cls: type) -> bool:
+    """Whether a value is of a class; true for protocols that cannot be asked."""
+    try:
+        return isinstance(value, cls)
+    except TypeError:
+        return True
+
+
 def _number(value: Any, kind: type) -> float | int:
-    """A finite float, or a whole number, also if it stands as a float; no bool."""
-    if isinstance(value, bool) or not hasattr(value, "__float__"):
+    """A finite float, or a whole number, also if it stands as a float; no bool, no array, no masked number."""
+    axes: Any = getattr(value, "ndim", 0)
+    if isinstance(value, bool | np.ma.MaskedArray) or not hasattr(value, "__float__") or axes:
         return _refuse()
-    number = _finite(float(value))
+    try:
+        number = _finite(float(value))
+    except Exception as error:  # whatever an object of others raises, it is no number
+        raise ValueError from error
     if kind is float:
         return number
     return int(number) if number.is_integer() else _refuse()

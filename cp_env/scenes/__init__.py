@@ -9,7 +9,7 @@ from importlib.util import find_spec
 from cp_env.scenes.spec import PathSpec
 from cp_env.scenes.town import KINDS, SPLITS, Town
 from cp_env.types import SceneSource
-from defenders.registry import Registry, Spec, unknown
+from defenders.registry import Registry, Spec, shown, unknown
 
 __all__ = ["KINDS", "SCENES", "SOURCES", "SPLITS", "Town", "open_source"]
 
@@ -19,6 +19,8 @@ SOURCES = {
     "opv2v": "cp_env.scenes.opv2v.source:OPV2V",
     "v2v4real": "cp_env.scenes.opv2v.v2v4real:V2V4Real",
     "v2x-real": "cp_env.scenes.opv2v.v2x_real:V2XReal",
+    "dair-v2x": "cp_env.scenes.dair_v2x.source:DairV2X",
+    "nuscenes": "cp_env.scenes.nuscenes.source:NuScenes",
     "sumo": "cp_env.scenes.sumo.live:LiveSumo",
 }
 """Sources with a path: kind to `module:class`, imported when first opened. The class takes the path, then keywords."""
@@ -47,7 +49,7 @@ def open_source(spec: str | SceneSource) -> SceneSource:
     if not isinstance(spec, str):
         if not isinstance(spec, SceneSource):
             raise ValueError(
-                f"scenes must be a name or a SceneSource (name, digest, names, load, sweeps); got {spec!r:.80}"
+                f"scenes must be a name or a SceneSource (name, digest, names, load, sweeps); got {shown(spec)}"
             )
         return spec
     if spec.partition(":")[0] in SOURCES:

@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 
 import defenders
 from defenders import Bayes, NoDefence, Prbi
-from defenders.registry import Spec
+from defenders.registry import Spec, checked_value, shown
+from tests.campaign.values import STRANGE, Raising
 
 
 def test_make_takes_names_objects_and_factories() -> None:
@@ -130,3 +131,38 @@ def typed() -> NoDefence:
 
 def untyped():  # type: ignore[no-untyped-def]
     raise AssertionError("this must not be called")
+
+
+@pytest.mark.parametrize("width", [10, 80, 200])
+def test_any_value_is_shown_in_a_few_characters(width: int) -> None:
+    for make in STRANGE:
+        assert 0 < len(shown(make(), width)) <= width
+
+
+def test_what_is_short_is_shown_as_it_is() -> None:
+    for value in ("text", 3, 0.5, None, True, [1, 2, 3], (0, 5), {"a": 1}, b"x"):
+        assert shown(value) == repr(value)
+    assert shown("x" * 1000, 20) == "'" + "x" * 18 + "…"
+    assert shown(list(range(10**6)), 80).startswith("[0, 1, 2, 3, 4, 5, ")
+
+
+def test_an_object_whose_repr_fails_is_shown_by_its_class() -> None:
+    class Grim:
+        def __repr__(self) -> str:
+            raise RuntimeError("no")
+
+    assert "Grim" in shown(Grim())
+
+
+@pytest.mark.parametrize("kind", [int, float, bool, str])
+def test_strange_values_are_of_a_kind_or_refused(kind: type) -> None:
+    taken, refusals = [], []
+    for make in STRANGE:
+        try:
+            taken.append(checked_value("x", make(), kind))
+        except ValueError as error:
+            refusals.append(str(error))
+    assert taken and all(isinstance(value, kind) for value in taken)
+    assert all(said.startswith("x must be ") and len(said) < 200 for said in refusals)
+    with pytest.raises(ValueError, match="x must be a finite number, not <"):
+        checked_value("x", Raising(), float)

@@ -56,10 +56,12 @@ class CoperceptionDetector(nn.Module):
     floor = 0.05
     threshold = 0.7
 
-    def __init__(self, weights: Weights, fusion_name: str, rounds: int, resampling: str) -> None:
+    def __init__(
+        self, weights: Weights, fusion_name: str, rounds: int, resampling: str, *, all_boxes: bool = False
+    ) -> None:
         super().__init__()
         single = "stpn" in weights.prefixes and "u_encoder" not in weights.prefixes
-        self.fusion, self.resampling, self.rounds = fusion_name, resampling, rounds
+        self.fusion, self.resampling, self.rounds, self.all_boxes = fusion_name, resampling, rounds, all_boxes
         self.encoder = Encoder(weights, "stpn" if single else "u_encoder")
         if fusion_name == "v2vnet" and len(self.encoder.narrow):
             raise ValueError(
@@ -134,7 +136,7 @@ class CoperceptionDetector(nn.Module):
         """The boxes of each view, best first, after non-maximum suppression at IoU 0.01, without the ego itself.
 
         Those above 0.7 are coperception's own, less the ego (`own` is where it stands in its grid frame, at the origin
-        by default) and boxes whose centre is out of range.
+        by default) and boxes whose centre is out of range; with `all_boxes`, less nothing.
         """
         assert isinstance(dense, Anchored)  # what `perceive` gives: `Dense` alone does not hold all anchors
         scores, boxes = (part.cpu().double().numpy() for part in (dense.scores_found, dense.boxes_found))
@@ -149,7 +151,8 @@ class CoperceptionDetector(nn.Module):
     @property
     def digest(self) -> str:
         """A fingerprint of the weights and of all that changes what they say."""
-        return fingerprint(self, f"{self.fusion} {self.rounds} {self.resampling} {self.floor} {self.threshold}")
+        what = f"{self.fusion} {self.rounds} {self.resampling} {self.floor} {self.threshold}"
+        return fingerprint(self, what + (" all boxes" if self.all_boxes else ""))
 
     @property
     def maps_digest(self) -> str:
@@ -190,6 +193,8 @@ class CoperceptionDetector(nn.Module):
             kept.append(int(best))
             rows = rows[pairwise_iou(boxes[best][None], boxes[rows])[0] <= NMS_IOU]
         boxes, scores = boxes[kept], scores[kept]
+        if self.all_boxes:
+            return Detections(boxes.astype(np.float32), scores.astype(np.float32))
         inside = (np.abs(boxes[:, :2]) <= self.extent).all(axis=1)
         valid = inside & (np.linalg.norm(boxes[:, :2] - own, axis=1) > OWN_RADIUS)
         return Detections(boxes[valid].astype(np.float32), scores[valid].astype(np.float32))
@@ -200,7 +205,13 @@ class CoperceptionDetector(nn.Module):
 
 
 def load_checkpoint(
-    path: str | Path, *, fusion: str = "mean", rounds: int = 3, resampling: str = "affine", device: str = "cpu"
+    path: str | Path,
+    *,
+    fusion: str = "mean",
+    rounds: int = 3,
+    resampling: str = "affine",
+    all_boxes: bool = False,
+    device: str = "cpu",
 ) -> CoperceptionDetector:
     """The detector of one of coperception's checkpoints, frozen.
 
@@ -209,6 +220,8 @@ def load_checkpoint(
         fusion: "mean", "max", "sum" (which are the same in a checkpoint), "v2vnet" or "disconet".
         rounds: V2VNet's rounds of messages. Versions of its code that begin every round anew do what one round does.
         resampling: "affine" or "rotate-translate": how its code warps (see `RESAMPLING`).
+        all_boxes: keep the ego's own box and those beyond ±32 m, as their code does. Score such a detector with
+            `cp_env.detector.coperception.truth.their_truth`.
         device: where the detector runs, as torch spells it.
 
     Raises:
@@ -222,4 +235,4 @@ def load_checkpoint(
         raise ValueError(f"rounds must be at least 1, not {rounds}")
     weights = read(path)
     weights.check_parts(fusion)
-    return CoperceptionDetector(weights, fusion, rounds, resampling).to(device)
+    return CoperceptionDetector(weights, fusion, rounds, resampling, all_boxes=all_boxes).to(device)

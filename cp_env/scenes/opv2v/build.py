@@ -1,18 +1,17 @@
-"""A scene out of what its agents' files say: tracks of all vehicles, and who carries which sensor.
-
-The road is taken to be flat and level round each sensor.
-"""
+"""A scene out of what its agents' files say: tracks of all vehicles, who carries which sensor, the road under them."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
 from cp_env.geometry.planar import compose, invert
+from cp_env.scenes.assembly.carrier import UNSEEN, Track, under_sensor
+from cp_env.scenes.assembly.road import DRAWN, EXACT, under_unit
 from cp_env.scenes.errors import BrokenData
 from cp_env.scenes.opv2v.axes import planar
 from cp_env.scenes.opv2v.classes import Choice
@@ -21,11 +20,7 @@ from cp_env.scenes.opv2v.folders import Scenario
 from cp_env.scenes.opv2v.layouts import Layout
 from cp_env.types import Scene
 
-UNSEEN = (np.array([0.0, 0.0, 0.75]), np.array([2.45, 1.06, 0.75]))
-"""Centre and half extent of a connected vehicle that no agent lists: a Lincoln MKZ, as all connected ones of OPV2V."""
-
 SENSOR = 1.9  # m above the road: that of a connected vehicle near which no vehicle is ever listed
-SLACK = 0.5  # m that a sensor may stand outside the box of its carrier: poses of real vehicles err
 NEAR = 15.0  # m; so near a vehicle must be to tell the height of the road under a sensor, if any ever is
 
 Key = tuple[int, int]  # who numbers it (0 if all do together), and its number
@@ -41,19 +36,11 @@ class FrameSequence:
     files: tuple[tuple[Path, ...], ...]  # [frame][agent]
     world_T_lidar: Float[np.ndarray, "T A 3 4"]
     ground: Float[np.ndarray, "T A"]  # height of the road under each sensor; m
+    feet: Float[np.ndarray, "T M 3"]  # of the scene's vehicles, in the world; m
+    boxes: Float[np.ndarray, "T M 7"]  # x, y, z of the middle, length, width, height, yaw; m, rad
+    tilt: Float[np.ndarray, "T M 2"]  # roll and pitch of the boxes; rad
     believed: Float[np.ndarray, "T A 3"]  # where the ego takes the agent to be; m, m, rad
     place: Float[np.ndarray, "T A 3"]  # where it is: box centre of a vehicle, sensor of a unit
-
-
-@dataclass
-class Track:
-    """One object through a scene; NaN where it is not listed."""
-
-    pose: Float[np.ndarray, "T 3"]  # of the box centre; m, m, rad
-    base: Float[np.ndarray, " T"]  # height of the road under it; m
-    center: Float[np.ndarray, " 3"]  # of its box from its origin, where it is listed first
-    extent: Float[np.ndarray, " 3"]
-    kind: str | None
 
 
 def build(
@@ -85,7 +72,10 @@ def build(
             raise BrokenData(_first_file(scenario, numbers, notes, track.kind), f"vehicle {key[1]}: {error}") from error
     every = [track for _, track in own] + [track for key, track in sorted(tracks.items()) if key not in gone]
     pose = np.stack([track.pose for track in every], axis=1)
-    ground = _ground(scenario, world_T_lidar, np.stack([track.base for track in every], axis=1), pose, layout)
+    base = np.stack([track.base for track in every], axis=1)
+    ground = _ground(scenario, world_T_lidar, base, pose, layout)
+    boxes = np.stack([track.boxes() for track in every], axis=1)
+    _stand(boxes, base, ground[:, : len(own)])
     place = np.concatenate([pose[:, : len(own)], _unit(scenario, numbers, world_T_lidar)], axis=1)
     mast = None if scenario.rsu is None else world_T_lidar[0, -1, :, 3] - [0.0, 0.0, ground[0, -1]]
     scene = Scene(
@@ -100,7 +90,9 @@ def build(
     )
     kinds = tuple(track.kind or "vehicle" for track in every)
     files = tuple(tuple(scenario.points(agent, number) for agent in scenario.agents) for number in numbers)
-    return FrameSequence(scene, kinds, files, world_T_lidar, ground, place, place)
+    feet = np.concatenate([pose[..., :2], base[..., None]], axis=2)
+    tilt = np.stack([track.tilt for track in every], axis=1)
+    return FrameSequence(scene, kinds, files, world_T_lidar, ground, feet, boxes, tilt, place, place)
 
 
 def localised(
@@ -145,15 +137,13 @@ def _tracks(scenario: Scenario, numbers: Sequence[str], notes: Notes, layout: La
     tracks: dict[Key, Track] = {}
     for t, key, note, k in _objects(scenario, notes, layout):
         if key not in tracks:
-            blank = np.full((len(numbers), 4), np.nan)
-            tracks[key] = Track(blank[:, :3], blank[:, 3], note.center[k], note.extent[k], note.kinds[k])
+            tracks[key] = Track.blank(len(numbers), note.center[k], note.extent[k], note.kinds[k])
         track = tracks[key]
         if not np.isnan(track.base[t]):
             continue
-        world_T_body = note.pose[k]
-        centre = world_T_body @ np.append(note.center[k], 1.0)
-        track.pose[t] = *centre[:2], planar(world_T_body)[2]
-        track.base[t] = world_T_body[2, 3] if layout.on_ground else centre[2] - note.extent[k, 2]
+        track.put(t, note.pose[k], note.center[k], note.pose[k][2, 3])
+        if not layout.on_ground:
+            track.base[t] = track.z[t] - note.extent[k, 2]
     return tracks
 
 
@@ -169,7 +159,7 @@ def _carried(
             track = tracks.get(key)
             found.append(({key}, _by_body(scenario, agent, numbers, own, track)))
         else:
-            found.append(_by_place(np.array([note.lidar for note in own]), tracks))
+            found.append(under_sensor(planar(np.array([note.lidar for note in own])), tracks))
     return found
 
 
@@ -177,45 +167,13 @@ def _by_body(
     scenario: Scenario, agent: str, numbers: Sequence[str], own: Sequence[Note], listed: Track | None
 ) -> Track:
     """A connected vehicle; in frames where no agent lists it, it stands where its own file says."""
-    track = listed or Track(np.full((len(own), 3), np.nan), np.full(len(own), np.nan), *UNSEEN, None)
-    pose, base = track.pose.copy(), track.base.copy()
-    for t in np.flatnonzero(np.isnan(base)).tolist():
+    track = Track.blank(len(own), *UNSEEN, None) if listed is None else listed.copy()
+    for t in np.flatnonzero(np.isnan(track.base)).tolist():
         body = own[t].body
         if body is None:
             raise BrokenData(scenario.note(agent, numbers[t]), "lacks true_ego_pos, no other agent lists it")
-        centre = body @ np.append(track.center, 1.0)
-        pose[t], base[t] = (*centre[:2], planar(body)[2]), body[2, 3]
-    return replace(track, pose=pose, base=base)
-
-
-def _by_place(world_T_lidar: Float[np.ndarray, "T 3 4"], tracks: dict[Key, Track]) -> tuple[set[Key], Track]:
-    """A connected vehicle whose number is not known: whatever stands under its sensor wherever it is listed.
-
-    In frames where nothing is listed there, its box stands to its sensor as it mostly does in the others; where none
-    ever is, one of a usual size stands in the middle under it.
-    """
-    sensor = planar(world_T_lidar)
-    keys: dict[Key, int] = {}
-    for key, track in tracks.items():
-        offset = compose(invert(track.pose), sensor)[:, :2]
-        inside = (np.abs(offset) <= track.extent[:2] + SLACK).all(axis=1)  # a NaN compares false
-        if 2 * inside.sum() > np.isfinite(track.base).sum():
-            keys[key] = int(inside.sum())
-    order = sorted(keys, key=lambda key: (-keys[key], key))
-    frames = len(sensor)
-    first = tracks[order[0]] if order else Track(np.zeros((frames, 3)), np.zeros(frames), *UNSEEN, None)
-    pose, base = np.full((frames, 3), np.nan), np.full(frames, np.nan)
-    for key in order:
-        new = np.isnan(base) & np.isfinite(tracks[key].base)
-        pose[new], base[new] = tracks[key].pose[new], tracks[key].base[new]
-    absent = np.isnan(base)
-    shift = np.zeros(3)
-    if not absent.all():
-        offset = compose(invert(sensor[~absent]), pose[~absent])
-        turn = np.arctan2(np.median(np.sin(offset[:, 2])), np.median(np.cos(offset[:, 2])))
-        shift = np.array([*np.median(offset[:, :2], axis=0), turn])
-    pose[absent] = compose(sensor[absent], np.broadcast_to(shift, (int(absent.sum()), 3)))
-    return set(order), replace(first, pose=pose, base=base)
+        track.put(t, body, track.center, body[2, 3])
+    return track
 
 
 def _ground(
@@ -242,9 +200,19 @@ def _ground(
             close = least[:, agent] < NEAR
             height = height[close if close.any() else np.isfinite(height)]
             ground[:, agent] = z - (np.median(height) if len(height) else SENSOR)
-    if scenario.rsu is not None:
-        ground[:, -1] = np.median(ground[:, -1])  # it stands still, whoever drives by
+    if scenario.rsu is not None:  # it stands still, whoever drives by
+        feet = np.concatenate([pose[..., :2], base[..., None]], axis=2)
+        level = under_unit(feet, world_T_lidar[0, -1, :2, 3], EXACT if layout.on_ground else DRAWN)
+        ground[:, -1] = np.median(ground[:, -1]) if np.isnan(level) else level
     return ground
+
+
+def _stand(boxes: Float[np.ndarray, "T M 7"], base: Float[np.ndarray, "T M"], ground: Float[np.ndarray, "T C"]) -> None:
+    """Put the boxes of carriers, which come first, on the road in frames where none is listed there."""
+    own = slice(0, ground.shape[1])
+    lost = np.isnan(base[:, own])
+    base[:, own][lost] = ground[lost]
+    boxes[:, own, 2][lost] = (ground + boxes[:, own, 5] / 2)[lost]
 
 
 def _unit(

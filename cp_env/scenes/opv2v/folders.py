@@ -180,7 +180,7 @@ def _hint(root: Path) -> str:
     if splits := [folder.name for folder in inner if any(is_scenario(part) for part in _folders(folder)[:_MOST])]:
         return f"; it has the splits {', '.join(splits)}: choose one with split="
     if _DAIR & {folder.name for folder in inner}:
-        return "; it is laid out as DAIR-V2X, which is not read here: docs/scenes.md lists what is"
+        return f"; it is laid out as DAIR-V2X-C: open it as dair-v2x:{root}"
     for folder in inner:
         for part in _folders(folder)[:_MOST]:
             if any(is_scenario(last) for last in _folders(part)[:_MOST]):

@@ -14,7 +14,8 @@ import numpy as np
 from jaxtyping import Float
 from tqdm import tqdm
 
-from cp_env.lidar.returns import standing, to_world_axes
+from cp_env.scenes.assembly.road import DRAWN, EXACT, Road
+from cp_env.scenes.assembly.sweep import placed_sweep
 from cp_env.scenes.errors import BrokenData, LeftOut, sift
 from cp_env.scenes.opv2v import frame_rate
 from cp_env.scenes.opv2v.axes import mirrored
@@ -25,7 +26,7 @@ from cp_env.scenes.opv2v.folders import Scenario, runs, scenarios, survey
 from cp_env.scenes.opv2v.layouts import Layout
 from cp_env.types import Scene, Sweep
 
-VERSION = 2
+VERSION = 3
 """Part of the digest: rises when the same files give other sweeps."""
 
 RATE = 5.0
@@ -305,15 +306,17 @@ class Recorded:
 
     def _sweep(self, sequence: FrameSequence, t: int, agent: int) -> Sweep:
         world_T_lidar, place, scene = sequence.world_T_lidar[t, agent], sequence.place[t, agent], sequence.scene
-        origin = np.append(place[:2], world_T_lidar[2, 3] - sequence.ground[t, agent])
-        shift = world_T_lidar[:, 3] - [*place[:2], sequence.ground[t, agent]]
-        boxes = standing(scene, t, place[:2])
+        softness = EXACT if self.layout.on_ground else DRAWN
+        road = Road.through(sequence.feet[t], place[:2], float(sequence.ground[t, agent]), softness)
         own = int(scene.connected[agent]) if agent < scene.n_connected else None
-        turn = world_T_lidar[:, :3]
-        turn = turn if self.layout.right_handed else mirrored(turn)  # takes points as the file stores them
-        points, hits = to_world_axes(read_points(sequence.files[t][agent]), turn, shift, boxes, own)
+        turn = world_T_lidar[:, :3] if self.layout.right_handed else mirrored(world_T_lidar[:, :3])
+        world_T_file = np.column_stack([turn, world_T_lidar[:, 3]])  # takes points as the file stores them
+        points = read_points(sequence.files[t][agent])
+        sweep = placed_sweep(points, world_T_file, road, sequence.boxes[t], sequence.tilt[t], own)
         error = sequence.believed[t, agent] - place
-        if error.any():
-            astray = np.array([[np.cos(error[2]), np.sin(error[2])], [-np.sin(error[2]), np.cos(error[2])]])
-            points[:, :2] = points[:, :2] @ astray.astype(np.float32) + error[:2].astype(np.float32)
-        return Sweep(points, origin, hits)
+        if not error.any():
+            return sweep
+        points = sweep.points.copy()
+        astray = np.array([[np.cos(error[2]), np.sin(error[2])], [-np.sin(error[2]), np.cos(error[2])]])
+        points[:, :2] = points[:, :2] @ astray.astype(np.float32) + error[:2].astype(np.float32)
+        return replace(sweep, points=points)

@@ -177,7 +177,9 @@ def spec_of(text: str) -> str:
     if path.is_file():
         kind = "sumo" if {".sumocfg", ".cfg", ".net"} & set(path.suffixes) else ""
     elif any(path.glob("scene.json")) or any(path.glob("*/scene.json")):
-        kind = "v2x-sim"
+        kind = "nuscenes" if any(path.glob("samples/LIDAR_TOP")) else "v2x-sim"
+    elif any(path.glob("cooperative/data_info.json")) or any(path.glob("*/cooperative/data_info.json")):
+        kind = "dair-v2x"
     elif any(path.glob("agent*")) or any(path.glob("*/agent*")):
         kind = "v2x-sim-det"
     else:

@@ -1,4 +1,4 @@
-"""One scene of V2X-Sim put on flat ground: boxes become vehicles, sensors find their carriers."""
+"""One scene of tables in the nuScenes format: boxes become vehicles, sensors find their carriers and the road."""
 
 from __future__ import annotations
 
@@ -9,16 +9,32 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from cp_env.geometry import spatial
+from cp_env.scenes.assembly.road import under_unit
+from cp_env.scenes.assembly.tilt import foot
 from cp_env.scenes.town import KINDS
 from cp_env.scenes.v2xsim.index import Index, Rows
-from cp_env.scenes.v2xsim.tilt import foot
 from cp_env.types import Scene
 
 RSU = 0  # the road-side unit is LIDAR_TOP_id_0
 STRAY = 2.5  # m; an annotated box this close under a LiDAR is its carrier's
 BARE = (4.7, 2.0, 1.6)  # length, width, height of a carrier that is not annotated; m
+
+
+@dataclass(frozen=True)
+class Bare:
+    """The box of a carrier that is not annotated.
+
+    Attributes:
+        size: length, width, height; m.
+        ahead: m that its middle lies ahead of the ego pose; None if it stands under its sensor, and looks as that does.
+    """
+
+    size: tuple[float, float, float]
+    ahead: float | None
+
+
+UNDER = Bare(BARE, None)
 UNLISTED = "not annotated"  # the class of such a carrier
-AROUND = 40.0  # m; boxes this close show where the ground under a road-side unit is
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +47,7 @@ class FrameSequence:
     row: dict[int, int]  # of each vehicle's box among the scene's vehicles
     origin: dict[int, Float[np.ndarray, "T 3"]]  # of each agent's sweeps; world x, y and height above ground
     ground: Float[np.ndarray, "T K"]  # world z of the ground under each sensor
+    feet: Float[np.ndarray, "T M 3"]  # of the scene's vehicles, in the world
     boxes: Float[np.ndarray, "T M 7"]  # of the scene's vehicles, as in `Rows.box`
     tilt: Float[np.ndarray, "T M 2"]  # roll and pitch of those boxes; rad
     classes: tuple[str, ...]  # of the scene's vehicles: their categories' names
@@ -44,13 +61,13 @@ def present(rows: Rows) -> Int[np.ndarray, " A"]:
 
 
 @lru_cache(maxsize=8)
-def build(index: Index, place: int, categories: tuple[str, ...], rsu: bool) -> FrameSequence:
+def build(index: Index, place: int, categories: tuple[str, ...], rsu: bool, bare: Bare = UNDER) -> FrameSequence:
     """A scene of an index."""
     rows, entry = index.rows(place), index.entries[place]
     agents = present(rows).tolist()
     tracks, category = _tracks(rows)
     carriers = [_carrier(tracks, rows.world_T_sensor[:, agent, :, 3]) for agent in agents]
-    boxes = np.concatenate([tracks, *(_bare(rows, agent) for agent in agents)], axis=1)
+    boxes = np.concatenate([tracks, *(_bare(rows, agent, bare) for agent in agents)], axis=1)
     row = [len(tracks[0]) + k if carrier is None else carrier for k, carrier in enumerate(carriers)]
     names = [*(index.categories[number] for number in category), *[UNLISTED] * len(agents)]
     wanted = np.flatnonzero([name.startswith(categories) for name in names[: len(category)]])
@@ -58,7 +75,8 @@ def build(index: Index, place: int, categories: tuple[str, ...], rsu: bool) -> F
     boxes, tilt = np.split(boxes[:, keep], [7], axis=2)
     connected = np.searchsorted(keep, row)
     carrier = dict(zip(agents, connected.tolist(), strict=True))
-    ground = _ground(rows, foot(boxes, tilt), boxes, carrier)
+    feet = np.concatenate([boxes[..., :2], foot(boxes, tilt)[..., None]], axis=2)
+    ground = _ground(rows, feet, carrier)
     height = rows.world_T_sensor[..., 2, 3] - ground
     origin = {
         agent: np.concatenate([boxes[:, own, :2], height[:, agent, None]], axis=1) for agent, own in carrier.items()
@@ -80,7 +98,7 @@ def build(index: Index, place: int, categories: tuple[str, ...], rsu: bool) -> F
     for array in (scene.pose, scene.size, scene.connected, scene.obstacles):
         array.flags.writeable = False  # it is shared by all who load it
     classes = tuple(names[number] for number in keep)
-    return FrameSequence(scene, rows, tuple(origin), carrier, origin, ground, boxes, tilt, classes)
+    return FrameSequence(scene, rows, tuple(origin), carrier, origin, ground, feet, boxes, tilt, classes)
 
 
 def _tracks(rows: Rows) -> tuple[Float[np.ndarray, "T I 9"], Int[np.ndarray, " I"]]:
@@ -99,28 +117,25 @@ def _carrier(tracks: Float[np.ndarray, "T I 9"], sensor: Float[np.ndarray, "T 3"
     return int(np.nanargmin(away))
 
 
-def _bare(rows: Rows, agent: int) -> Float[np.ndarray, "T 1 9"]:
-    """An upright box for a carrier that is not annotated: of a usual size, under its sensor, on its ego pose."""
-    world_T_sensor = rows.world_T_sensor[:, agent]
-    place = world_T_sensor[:, :2, 3]
-    base = rows.base[:, agent, None]
-    size = np.broadcast_to(BARE, (len(base), 3))
-    yaw = spatial.heading(world_T_sensor)[:, None]
-    return np.concatenate([place, base + BARE[2] / 2, size, yaw, np.zeros((len(base), 2))], axis=1)[:, None]
+def _bare(rows: Rows, agent: int, bare: Bare) -> Float[np.ndarray, "T 1 9"]:
+    """An upright box for a carrier that is not annotated, on its ego pose."""
+    world_T_sensor, world_T_ego = rows.world_T_sensor[:, agent], rows.world_T_ego[:, agent]
+    yaw = spatial.heading(world_T_sensor if bare.ahead is None else world_T_ego)
+    if bare.ahead is None:
+        place = world_T_sensor[:, :2, 3]
+    else:
+        place = world_T_ego[:, :2, 3] + bare.ahead * np.stack([np.cos(yaw), np.sin(yaw)], axis=1)
+    middle = world_T_ego[:, 2, 3, None] + bare.size[2] / 2
+    size = np.broadcast_to(bare.size, (len(place), 3))
+    return np.concatenate([place, middle, size, yaw[:, None], np.zeros((len(place), 2))], axis=1)[:, None]
 
 
-def _ground(
-    rows: Rows,
-    feet: Float[np.ndarray, "T M"],
-    boxes: Float[np.ndarray, "T M 7"],
-    carrier: dict[int, int],
-) -> Float[np.ndarray, "T K"]:
+def _ground(rows: Rows, feet: Float[np.ndarray, "T M 3"], carrier: dict[int, int]) -> Float[np.ndarray, "T K"]:
     """World z of the ground under each sensor."""
-    ground = rows.base.copy()
+    ground = rows.world_T_ego[..., 2, 3].copy()
     for agent, row in carrier.items():
-        ground[:, agent] = feet[:, row]
+        ground[:, agent] = feet[:, row, 2]
     mast = rows.world_T_sensor[0, RSU, :2, 3]
-    near = np.hypot(*np.moveaxis(boxes[..., :2] - mast, -1, 0)) < AROUND
-    if near.any():
-        ground[:, RSU] = np.median(feet[near])
+    if not np.isnan(mast).any() and not np.isnan(level := under_unit(feet, mast)):
+        ground[:, RSU] = level
     return ground

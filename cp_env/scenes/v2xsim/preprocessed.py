@@ -16,20 +16,24 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float
 from tqdm import tqdm
 
-from cp_env.lidar.returns import standing, to_world_axes
+from cp_env.lidar.returns import count_returns, standing, to_world_axes
+from cp_env.scenes.assembly.road import DRAWN, Road
 from cp_env.scenes.errors import BrokenData, sift
-from cp_env.scenes.v2xsim.anchors import CELL
+from cp_env.scenes.formats.plain_numpy import load_npz
+from cp_env.scenes.v2xsim.anchors import CELL, SLICE
 from cp_env.scenes.v2xsim.build import RSU
 from cp_env.scenes.v2xsim.preprocessed_build import AGENTS, HEIGHT, FrameSequence, read_points, read_sequence
 from cp_env.scenes.v2xsim.splits import SPLITS
 from cp_env.types import Scene, Sweep
 
-VERSION = 2
+VERSION = 3
 """Part of the digest: rises when the same files give other scenes."""
 
 DT = 0.2  # s
+ROUGH = 2 * SLICE  # m: the road under a sensor is known to a slice; what differs by less than two may be level
 CLASS = "vehicle.car"
 _Files = tuple[tuple[Path | None, ...], ...]  # [frame][agent]; None where the set has no folder of the agent
 
@@ -125,16 +129,27 @@ class V2XSimDet:
     def _sweep(self, scene: Scene, sequence: FrameSequence, t: int, k: int, agent: int) -> Sweep:
         world_T_sensor = sequence.world_T_sensor[t, agent]
         place = scene.pose[t, scene.connected[k], :2] if agent != RSU else np.zeros(2)
-        ground = world_T_sensor[2, :3] @ (0, 0, sequence.ground[agent]) + world_T_sensor[2, 3]
+        feet = _feet(sequence, t)
+        road = Road.through(feet, place, float(feet[agent, 2]), DRAWN, flat=ROUGH)
         path = self._files[scene.name][t][agent]
         assert path is not None
         own = None if agent == RSU else int(scene.connected[k])
         boxes = standing(scene, t, place)
-        shift = world_T_sensor[:, 3] - (*place, ground)
+        shift = world_T_sensor[:, 3] - (*place, road.level)
         points, hits = to_world_axes(
             read_points(path, agent), world_T_sensor[:, :3], shift, boxes, own, margin=CELL / 2
         )
-        return Sweep(points.astype(np.float32), np.append(place, world_T_sensor[2, 3] - ground), hits)
+        if not road.is_level:  # the files hold no heights: boxes stand on the road that the agents make
+            points = road.flatten(points)
+            hits = count_returns(points, boxes, CELL / 2)
+        return Sweep(points.astype(np.float32), np.append(place, shift[2]), hits)
+
+
+def _feet(sequence: FrameSequence, t: int) -> Float[np.ndarray, "K 3"]:
+    """Where the road is under each agent's sensor in frame t, by the fullest slice of its voxels; NaN if absent."""
+    world_T_sensor = sequence.world_T_sensor[t]
+    z = world_T_sensor[:, 2, 2] * sequence.ground + world_T_sensor[:, 2, 3]
+    return np.column_stack([world_T_sensor[:, :2, 3], z])
 
 
 def _find(root: Path, split: str) -> dict[str, _Files]:
@@ -178,11 +193,12 @@ def _sequence(files: _Files) -> FrameSequence:
     from cp_env.paths import cache_directory
 
     path = cache_directory() / "v2x-sim-det" / f"{_key(files)}.npz"
-    if not path.is_file():
+    try:
+        return FrameSequence(**load_npz(path))
+    except (OSError, ValueError, TypeError):  # not there, or not as it was written: it is made anew
         sequence = read_sequence(files)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        draft = path.with_name(f".{path.stem}-{uuid.uuid4().hex}.npz")
-        np.savez(draft, **{field.name: getattr(sequence, field.name) for field in fields(sequence)})
-        draft.replace(path)
-    with np.load(path, allow_pickle=False) as arrays:
-        return FrameSequence(**{name: arrays[name] for name in arrays.files})
+    path.parent.mkdir(parents=True, exist_ok=True)
+    draft = path.with_name(f".{path.stem}-{uuid.uuid4().hex}.npz")
+    np.savez(draft, **{field.name: getattr(sequence, field.name) for field in fields(sequence)})
+    draft.replace(path)
+    return sequence

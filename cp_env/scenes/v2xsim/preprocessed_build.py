@@ -14,14 +14,14 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.optimize import linear_sum_assignment
 
 from cp_env.geometry import spatial
+from cp_env.scenes.assembly.tilt import level
+from cp_env.scenes.assembly.tracking import follow
 from cp_env.scenes.errors import BrokenData
 from cp_env.scenes.formats.safe_pickle import load_pickled
 from cp_env.scenes.v2xsim.anchors import ANCHORS, CELLS, SLICES, decode, distinct, voxel_points
 from cp_env.scenes.v2xsim.build import BARE, RSU, STRAY
-from cp_env.scenes.v2xsim.tilt import level
 
 AGENTS = 6
 REACH = 5.0  # m; a vehicle is at most so far from where its last two places would have it
@@ -176,37 +176,12 @@ def _carrier(boxes: list[Float[np.ndarray, "_ 5"]], world_T_sensor: Float[np.nda
 
 
 def _track(boxes: list[Float[np.ndarray, "_ 5"]]) -> tuple[Float[np.ndarray, "T M 3"], Float[np.ndarray, "M 2"]]:
-    """Follow vehicles from frame to frame: the files number no vehicle.
-
-    A vehicle keeps its size and is met next near where its last two places would have it; the pairing of least total
-    distance is taken. One that is not met again is over; should it come back, it is a new one.
-    """
-    tracks: list[dict[int, np.ndarray]] = []
-    live: list[int] = []
-    for t, there in enumerate(boxes):
-        due = np.array([_next(tracks[k], t) for k in live]).reshape(-1, 5)
-        cost = np.hypot(*(due[:, None, :2] - there[None, :, :2]).T).T
-        unlike = (np.abs(due[:, None, 2:4] - there[None, :, 2:4]) > 0.01).any(axis=-1)
-        cost[unlike | (cost > REACH)] = 1e6
-        pairs = [(a, b) for a, b in zip(*linear_sum_assignment(cost), strict=True) if cost[a, b] < 1e6]
-        met = {b: live[a] for a, b in pairs}
-        for b, box in enumerate(there):
-            if b not in met:
-                met[b] = len(tracks)
-                tracks.append({})
-            tracks[met[b]][t] = box
-        live = list(met.values())
+    """Poses and sizes of vehicles followed from frame to frame: the files number none."""
+    tracks = follow(boxes, reach=REACH)
     pose = np.full((len(boxes), len(tracks), 3), np.nan)
+    size = np.empty((len(tracks), 2))
     for m, track in enumerate(tracks):
-        for t, box in track.items():
-            pose[t, m] = box[[0, 1, 4]]
-    size = np.array([np.median([box[2:4] for box in track.values()], axis=0) for track in tracks]).reshape(-1, 2)
+        for t, b in track.items():
+            pose[t, m] = boxes[t][b][[0, 1, 4]]
+        size[m] = np.median([boxes[t][b][2:4] for t, b in track.items()], axis=0)
     return pose, size
-
-
-def _next(track: dict[int, np.ndarray], t: int) -> np.ndarray:
-    """Where a vehicle met in frame t - 1 would be in frame t if it kept its pace."""
-    due: np.ndarray = track[t - 1].copy()
-    if t - 2 in track:
-        due[:2] += track[t - 1][:2] - track[t - 2][:2]
-    return due

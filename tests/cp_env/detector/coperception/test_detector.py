@@ -129,3 +129,14 @@ def test_what_is_remembered_is_only_speed(received: Tensor) -> None:
     other = pickle.loads(pickle.dumps(model))
     assert len(model._skips) >= 2 and not other._skips and not copy.deepcopy(model)._skips
     assert torch.equal(other.raw(received, FIRST, EVERYONE)[0], first)
+
+
+def test_all_boxes_are_kept_where_theirs_are_wanted() -> None:
+    """The ego's own box, and one whose centre lies at 32.3 m, are dropped unless they are asked for."""
+    ours_only, every = detector("mean"), copy.copy(detector("mean"))
+    every.all_boxes = True
+    boxes = np.array([[0.2, 0.1, 4.5, 2.0, 0.1], [10.0, 5.0, 4.5, 2.0, 0.4], [32.3, 0.0, 4.5, 2.0, 0.0]])
+    scores, own = np.array([0.9, 0.8, 0.75]), np.zeros(2)
+    assert ours_only._boxes(boxes, scores, own).scores.tolist() == pytest.approx([0.8])
+    assert every._boxes(boxes, scores, own).scores.tolist() == pytest.approx([0.9, 0.8, 0.75])
+    assert ours_only.digest != every.digest and ours_only.maps_digest == every.maps_digest

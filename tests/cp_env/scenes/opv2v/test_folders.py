@@ -100,7 +100,7 @@ def test_a_dair_like_folder_is_not_taken_for_opv2v(tmp_path: Path) -> None:
         "vehicle-side/0/000010.json",
         "infrastructure-side/label/000010.json",
     )
-    with pytest.raises(BrokenData, match="is laid out as DAIR-V2X, which is not read here"):
+    with pytest.raises(BrokenData, match=rf"is laid out as DAIR-V2X-C: open it as dair-v2x:{root}"):
         scenarios(root)
     plain = touch(tmp_path / "other", "batch/0/000010.pcd")
     with pytest.raises(BrokenData, match="they hold no frame"):

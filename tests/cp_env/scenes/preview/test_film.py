@@ -151,11 +151,17 @@ def test_a_path_is_taken_for_what_lies_there(tmp_path: Path) -> None:
         ("v2x-sim", "V2X-Sim-2.0/v2.0/scene.json"),
         ("v2x-sim-det", "det/test/agent1/5_0/0.npy"),
         ("opv2v", "OPV2V/test/2021/7/000069.pcd"),
+        ("dair-v2x", "DAIR-V2X-C/cooperative-vehicle-infrastructure/cooperative/data_info.json"),
+        ("dair-v2x", "inner/cooperative/data_info.json"),
+        ("nuscenes", "nuscenes/samples/LIDAR_TOP/a.pcd.bin"),
     ):
         path = tmp_path / file
         path.parent.mkdir(parents=True, exist_ok=True)
         path.touch()
         root = path if kind == "sumo" else tmp_path / file.split("/")[0]
+        if kind == "nuscenes":
+            (root / "v1.0-mini").mkdir()
+            (root / "v1.0-mini/scene.json").touch()
         assert film.spec_of(str(root)) == f"{kind}:{root}"
     (tmp_path / "pictures").mkdir()
     with pytest.raises(ValueError, match="is no data set that is known here"):

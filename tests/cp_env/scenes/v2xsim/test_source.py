@@ -17,7 +17,7 @@ from cp_env.scenes import Town, open_source
 from cp_env.scenes.clip import Clip
 from cp_env.scenes.errors import BrokenData
 from cp_env.scenes.export import export
-from cp_env.scenes.v2xsim import index
+from cp_env.scenes.v2xsim import indexing
 from cp_env.scenes.v2xsim.source import V2XSim
 from cp_env.types import SceneSource
 from tests.helpers.toy_scenes import ToySource
@@ -162,7 +162,7 @@ def test_sources_are_shared_between_processes(thin: Path) -> None:
 
 def test_tables_are_read_once(thin: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     V2XSim(thin)
-    monkeypatch.setattr(index, "_Builder", None)
+    monkeypatch.setattr(indexing, "_Builder", None)
     V2XSim(thin)
 
 
@@ -307,6 +307,11 @@ OF_THE_SET: dict[str, tuple[Callable[[Path], Any], str, str]] = {
         "record 0 is None",
     ),
     "no token": (lambda root: edit(root, "instance", _set("token", [1])), "instance.json", "a token is [1]"),
+    "no token to refer to": (
+        lambda root: edit(root, "sample_data", _set("calibrated_sensor_token", [1])),
+        "v2.0",
+        "what is no token",
+    ),
     "unfit name": (lambda root: edit(root, "scene", _set("name", "../toy")), "scene.json", "'../toy'"),
     "other data": (
         lambda root: edit(root, "sensor", lambda records: [record.update(channel="LIDAR_TOP") for record in records]),

@@ -108,7 +108,7 @@ def test_the_papers_setting_by_the_documented_commands(tmp_path: Path, monkeypat
         [word.replace("/data/V2X-Sim-2.0", str(root)) for word in part] for part in (words, more, rest)
     )
     learn = tyro.cli(train.Args, args=words)
-    small = {"frames": 1, "egos": 1, "views": 2, "steps": 1, "threads": 1}
+    small = {"frames": 1, "egos": 1, "views": 2, "steps": 1, "threads": 1, "init": Path("mean"), "learning_rate": 1e-6}
     train.main(replace(learn, out=tmp_path, cache=tmp_path / "cache", **small))  # type: ignore[arg-type]
     assert about(weights)["trained"]["source"] == open_source(learn.scenes).digest
     calibrate = tyro.cli(evaluate.Args, args=more)

@@ -42,7 +42,8 @@ def over_or_under(
     """Which points lie in a leaning box, or over or under it along its own z axis; m, all in one frame."""
     found = np.zeros(len(points), dtype=np.bool_)
     reach = 1.5 * np.linalg.norm(box[3:6]) + margin  # farther off is nothing of a vehicle's
-    near = np.flatnonzero((np.abs(points[:, :2] - box[:2].astype(points.dtype)) < reach).all(axis=1))
+    x, y = (np.abs(points[:, k] - points.dtype.type(box[k])) < reach for k in range(2))
+    near = np.flatnonzero(x & y)
     along, across, _ = ((points[near] - box[:3]) @ world_R_box(box[6], *tilt)).T
     found[near] = (np.abs(along) <= box[3] / 2 + margin) & (np.abs(across) <= box[4] / 2 + margin)
     return found

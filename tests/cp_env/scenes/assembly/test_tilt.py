@@ -1,6 +1,6 @@
 """Vehicles that pitch and roll, beside a slow twin: 4 × 4 matrices from quaternions, one point at a time.
 
-python -m pytest tests/cp_env/scenes/v2xsim/test_tilt.py -k planar -s     # prints what a planar warp would be wrong by
+python -m pytest tests/cp_env/scenes/assembly/test_tilt.py -k planar -s     # what a planar warp would be wrong by
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from cp_env.lidar.returns import count_returns as count_upright
-from cp_env.scenes.v2xsim import tilt
+from cp_env.scenes.assembly import tilt
 from cp_env.scenes.v2xsim.preprocessed_build import HEIGHT, in_world
 from cp_env.scenes.v2xsim.source import V2XSim
 from tests.helpers.v2xsim_sets import edit, hand_made
