@@ -44,8 +44,9 @@ class Pasac(Defender):
 
         Args:
             score: "agreement": consistency of score maps (CCLoss). "similarity": Jaccard of boxes (CP-uniGuard).
-            threshold: "calibrated": one ε for each size of the group that is fused, shipped. "paper": 0.08 for
-                agreement, which was made for segmentation maps, and 0.3 for similarity. Or a mapping from size to ε.
+            threshold: "calibrated": one ε for each size of the group that is fused, measured with the ego's detector.
+                "paper": 0.08 for agreement, which was made for segmentation maps, and 0.3 for similarity. Or a
+                calibration file, or a mapping from size to ε.
             epsilon: One ε for every size instead.
             visit_all: Verify all 2n - 1 nodes of the tree, the root and the parts of accepted parts too, as CP-uniGuard
                 does. Then every member of a part that passes is accepted, and the others are flagged.

@@ -91,6 +91,20 @@ class Frame(Protocol):
 Inspection = Generator[Query, list[View], Verdict]
 
 
+class EgoFusion(str):
+    """How the ego fuses, a text, with the digest of the detector that does it: what is calibrated is known by it."""
+
+    __slots__ = ("detector",)
+
+    detector: str | None
+
+    def __new__(cls, fusion: str, detector: str | None = None) -> EgoFusion:
+        """`detector`: the digest of its weights, the same in every episode; None if it is not known."""
+        made = super().__new__(cls, fusion)
+        made.detector = detector
+        return made
+
+
 class Defender(ABC):
     """Base class of all defenders."""
 
@@ -104,7 +118,7 @@ class Defender(ABC):
         on them. By default it has no effect.
 
         Args:
-            fusion: How the ego fuses what it receives: "mean", "max", ….
+            fusion: How the ego fuses what it receives: "mean", "max", …. From the referee it is an `EgoFusion`.
         """
         del fusion
 

@@ -62,8 +62,8 @@ class Robosac(Defender):
             n_attackers: k, where it is known. Else the share of attackers is probed.
             budget: Tries in a frame, of "budgeted" and of probing.
             ratios: Shares of attackers that are probed.
-            threshold: "paper": ε for every team. "calibrated": one ε for each size of the group that is fused, shipped.
-                Or a mapping from size to ε.
+            threshold: "paper": ε for every team. "calibrated": one ε for each size of the group that is fused, measured
+                with the ego's detector. Or a calibration file, or a mapping from size to ε.
             epsilon: ε, the least similarity to the ego-only view.
             confidence: Probability with which the tries are meant to find an uncontaminated team.
             trust_ego: As published: the ego is in every team and never drawn. False draws teams from all vehicles.

@@ -28,6 +28,7 @@ from torch import Tensor
 
 from cp_env.detector.model.decoder import Dense
 from cp_env.types import Detections, Sweep
+from defenders.protocol import EgoFusion
 
 
 @runtime_checkable
@@ -150,6 +151,27 @@ class HasFusion(Protocol):
     fusion: str
 
 
-def fusion_of(detector: DetectorLike, otherwise: str) -> str:
-    """The detector's fusion, if it names one."""
-    return detector.fusion if isinstance(detector, HasFusion) else otherwise
+def fusion_of(detector: DetectorLike, otherwise: str) -> EgoFusion:
+    """The detector's fusion, or `otherwise` if it names none; with its digest, under which it is calibrated."""
+    return EgoFusion(detector.fusion if isinstance(detector, HasFusion) else otherwise, calibration_digest(detector))
+
+
+@runtime_checkable
+class SharesCalibration(Protocol):
+    """A detector that says what its calibration is known by: a precision that moves no similarity shares it."""
+
+    @property
+    def calibration_digest(self) -> str:
+        """Changes whenever similarities or scores of views would, by more than they scatter."""
+        ...
+
+
+def calibration_digest(detector: DetectorLike) -> str:
+    """What the detector's calibration is known by: its `calibration_digest` if it has one, else the whole `digest`."""
+    return detector.calibration_digest if isinstance(detector, SharesCalibration) else detector.digest
+
+
+def dtype_of(detector: DetectorLike) -> torch.dtype:
+    """The precision of the maps that the detector fuses; single unless it says otherwise."""
+    dtype: torch.dtype = getattr(detector, "dtype", torch.float32)
+    return dtype

@@ -1,54 +1,19 @@
-"""Choice of the next verification: the group whose similarities are expected to be most informative.
-
-The expected information is the mutual information, in bits, between the hypothesis (L, b, a) and the similarities of
-the group. It is computed on a `HypothesisSample`, a weighted list of hypotheses: all of them where they are few, else
-a sample."""
+"""Choice of the next verification, the group with the highest expected information, and of the collaborators."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
-from defenders.bayes.likelihood import FullViewTable, Table, entropy
+from defenders.bayes.information import Group, Groups, HypothesisSample, Reference
 from defenders.bayes.posterior import Posterior
+from defenders.bayes.small_fleet import MOST_EXACT, every_group
 
-Group = Bool[np.ndarray, " n"]
-Groups = Bool[np.ndarray, "X n"]
 Others = Bool[np.ndarray, "Y n"]
-Rows = Int[np.ndarray, "X M"]
-MOST_EXACT = 6  # vehicles up to which every group is tried
 ROUNDS = 8  # of local search, at most
 DIGITS = 9  # of a gain that count, so that ties are ties on every machine
-
-
-@dataclass(frozen=True, eq=False)
-class HypothesisSample:
-    """Weighted hypotheses: who attacks now, who attacked in the references' frame, in which mode, and outliers."""
-
-    now: Float[np.ndarray, "M n"]
-    then: Float[np.ndarray, "M n"]
-    mode: Int[np.ndarray, "2 M"]  # now, then
-    outlier: Bool[np.ndarray, "2 M"]  # now, then
-    weight: Float[np.ndarray, " M"]
-
-
-@dataclass(frozen=True, eq=False)
-class FullView:
-    """The full view of this frame, of all present. Every view of a smaller group is compared with it, too."""
-
-    present: Group
-    table: FullViewTable
-
-
-@dataclass(frozen=True, eq=False)
-class Reference:
-    """An earlier view of a group, the densities for its age, and the full view if views are compared with that, too."""
-
-    group: Group
-    table: Table
-    full_view: FullView | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,61 +25,10 @@ class Candidate:
     gain: float
 
 
-def sample_hypotheses(posterior: Posterior, rng: np.random.Generator, size: int) -> HypothesisSample:
-    """All hypotheses of positive mass, or a systematic sample of `size` where there are more."""
-    mass = posterior.mass.reshape(-1)
-    chosen, weight = np.flatnonzero(mass > 0), mass[mass > 0]
-    if len(chosen) > size:
-        steps = np.minimum(np.cumsum(mass), 1.0)
-        chosen = np.searchsorted(steps, (np.arange(size) + rng.random()) / size).clip(max=len(mass) - 1)
-        chosen, times = np.unique(chosen, return_counts=True)
-        weight = times / size
-    which, then, now = np.unravel_index(chosen, posterior.joint.shape)
-    attackers, mode = posterior.sets[which].astype(float), np.stack([now, then])
-    attacking = mode > 0
-    return HypothesisSample(
-        attackers * attacking[0, :, None],
-        attackers * attacking[1, :, None],
-        mode,
-        ~attackers.any(1) & attacking,
-        weight,
-    )
-
-
-def information_gain(groups: Groups, reference: Reference, hypotheses: HypothesisSample) -> Float[np.ndarray, " X"]:
-    """Expected information of each group, in bits, from its similarity to the reference and to the full view.
-
-    The two similarities are independent given (L, b, a). So their conditional entropy is the sum of the entropies of
-    two rows of the tables, and only the joint mixture over the hypotheses has to be added up.
-    """
-    table, rows = reference.table, reference_rows(groups, reference, hypotheses)
-    found, rest = hypotheses.weight[:, None] * table.density[rows], table.entropy[rows]
-    if reference.full_view is None:
-        return entropy(found.sum(1)) - rest @ hypotheses.weight
-    full_table, others = reference.full_view.table, full_view_rows(groups, reference.full_view, hypotheses)
-    pairs = np.matmul(found.swapaxes(1, 2), full_table.density[others])
-    return entropy(pairs, (1, 2)) - (rest + full_table.entropy[others]) @ hypotheses.weight
-
-
-def reference_rows(groups: Groups, reference: Reference, hypotheses: HypothesisSample) -> Rows:
-    """Rows of the reference's table: one for each group and hypothesis."""
-    attackers = (groups @ hypotheses.now.T - hypotheses.outlier[0]).astype(np.int64)
-    earlier = (reference.group @ hypotheses.then.T - hypotheses.outlier[1]).astype(np.int64)
-    sizes, shared = groups.sum(1)[:, None], (groups & reference.group).sum(1)[:, None]
-    return reference.table.rows(
-        sizes, attackers, int(reference.group.sum()), earlier[None], shared, hypotheses.mode[:1], hypotheses.mode[1:]
-    )
-
-
-def full_view_rows(groups: Groups, full_view: FullView, hypotheses: HypothesisSample) -> Rows:
-    """Rows of the full view's table: one for each group and hypothesis."""
-    attackers = (groups @ hypotheses.now.T).astype(np.int64)
-    total = (full_view.present @ hypotheses.now.T - hypotheses.outlier[0]).astype(np.int64)
-    return full_view.table.rows(groups.sum(1)[:, None], attackers, total[None], hypotheses.mode[:1])
-
-
 def best_reference(group: Group, references: list[Reference], hypotheses: HypothesisSample) -> Reference:
     """The most informative reference for a view of the group; the first of equals."""
+    if len(references) == 1:
+        return references[0]
     return max(
         (argmax_gain(group[None], reference, hypotheses) for reference in references),
         key=lambda candidate: candidate.gain,
@@ -134,13 +48,6 @@ def best_query(
         for one in references
     ]
     return max(found, key=lambda candidate: candidate.gain)
-
-
-def every_group(present: Group) -> Groups:
-    """All groups of one or more of those present."""
-    codes = np.arange(1, 2 ** len(present))
-    groups = (codes[:, None] >> np.arange(len(present)) & 1).astype(bool)
-    return groups[~(groups & ~present).any(1)]
 
 
 def exhaustive(reference: Reference, hypotheses: HypothesisSample, present: Group, seen: Others) -> Candidate:
@@ -176,7 +83,7 @@ def unseen(groups: Groups, seen: Others) -> Bool[np.ndarray, "Z n"]:
 
 def argmax_gain(groups: Groups, reference: Reference, hypotheses: HypothesisSample) -> Candidate:
     """The group of the highest gain."""
-    found = information_gain(groups, reference, hypotheses).round(DIGITS)
+    found = reference.information_gain(groups, hypotheses).round(DIGITS)
     best = int(found.argmax())
     return Candidate(groups[best], reference, float(found[best]))
 

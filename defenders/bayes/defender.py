@@ -2,25 +2,18 @@
 
 from __future__ import annotations
 
-from itertools import product
+from collections.abc import Iterable
 
 import numpy as np
 from jaxtyping import Bool
 
-from defenders.bayes.acquisition import (
-    Candidate,
-    FullView,
-    HypothesisSample,
-    Reference,
-    best_collaborators,
-    best_query,
-    best_reference,
-    sample_hypotheses,
-)
+from defenders.bayes.acquisition import Candidate, best_collaborators, best_query, best_reference
+from defenders.bayes.fleet import open_fleet
 from defenders.bayes.histograms import open_likelihood
-from defenders.bayes.likelihood import FullViewTable, Likelihood
+from defenders.bayes.information import HypothesisSample, Reference, sample_hypotheses
+from defenders.bayes.likelihood import Likelihood
 from defenders.bayes.particles import Particles
-from defenders.bayes.posterior import ONSET_PROB, PERSISTENCE_PROB, Comparison, FullViewComparison, Posterior
+from defenders.bayes.posterior import ONSET_PROB, PERSISTENCE_PROB, Posterior
 from defenders.protocol import Defender, Frame, Inspection, Query, Verdict, View
 
 Members = Bool[np.ndarray, " n"]
@@ -59,7 +52,8 @@ class Bayes(Defender):
         """Build the defender.
 
         Args:
-            likelihood: "calibrated" (shipped, of the ego's fusion), "perfect" (a binary verifier), or a `Likelihood`.
+            likelihood: "calibrated" (densities measured with the ego's detector), "perfect" (a binary verifier), the
+                path of a calibration file, or a `Likelihood`.
             certainty: Posterior probability at which a vehicle is flagged, and at which a set of attackers is final.
             switch_prob: φ, the probability that the set of attackers changes from one frame with an attack to the next.
             initial_attack_prob: Probability of an attack in the very first frame.
@@ -97,9 +91,7 @@ class Bayes(Defender):
     def reset(self, n_vehicles: int, rng: np.random.Generator) -> None:
         self.n, self.rng = n_vehicles, rng
         if n_vehicles != self.prepared:
-            self.tables, self.utility = self.likelihood.tables(n_vehicles), utility_table(self.likelihood, n_vehicles)
-            self.full_view_tables: dict[int, FullViewTable] = {}  # by how many are present
-            self.prepared = n_vehicles
+            self.fleet, self.prepared = open_fleet(self.likelihood, n_vehicles, n_vehicles <= self.exact_to), n_vehicles
         modes = self.likelihood.modes
         self.posterior = (
             Posterior(n_vehicles, switch_prob=self.switch_prob, modes=modes)
@@ -111,24 +103,23 @@ class Bayes(Defender):
         self.attack_probs = np.full(modes, self.initial_attack_prob / modes)  # in the coming frame, by mode
 
     def inspect(self, frame: Frame) -> Inspection:
-        here = self._members(frame.present)
+        here = self.fleet.members(frame.present)
         views: dict[frozenset[int], View] = {frame.present: frame.seen}
         self.posterior.predict(self.attack_probs)
         self.age += 1
         self._learn(frame, frame.present, frame.seen)
-        full_view = FullView(here, self._full_view_table(len(frame.present)))
         for _ in range(self.max_verifications):
-            if (best := self._next_query(full_view, views)) is None:
+            if (best := self._next_query(frame.present, views)) is None:
                 break
             group = numbers(best.group)
             (views[group],) = yield Query([group])
             self._compare(frame, group, views[group], best.reference)
         flagged = self.posterior.attacker_probability() >= self.certainty
-        fused = best_collaborators(self.posterior, self.utility, flagged, here, self.rng)
+        fused = best_collaborators(self.posterior, self.fleet.utility, flagged, here, self.rng)
         collaborators = numbers(fused)
         if collaborators not in views:
             (views[collaborators],) = yield Query([collaborators], verification=False)  # the output of this frame
-            self._learn(frame, collaborators, views[collaborators], full_view)
+            self._learn(frame, collaborators, views[collaborators], frame.present)
         suspects = numbers(self.posterior.attacker_probability() >= self.certainty) - collaborators
         verdict = Verdict(collaborators, suspects, self.posterior.likeliest() >= self.certainty)
         self._end(views)
@@ -140,74 +131,49 @@ class Bayes(Defender):
     def _hypotheses(self) -> HypothesisSample:
         return sample_hypotheses(self.posterior, self.rng, 512)
 
-    def _full_view_table(self, present: int) -> FullViewTable:
-        if present not in self.full_view_tables:
-            self.full_view_tables[present] = FullViewTable(self.likelihood, present)
-        return self.full_view_tables[present]
+    def _sources(self, present: frozenset[int] | None = None) -> list[Reference]:
+        return [self.fleet.reference(group, self.age, present) for group in self.references]
 
-    def _sources(self, full_view: FullView | None = None) -> list[Reference]:
-        table = self.tables[min(self.age, len(self.tables)) - 1]
-        return [Reference(self._members(group), table, full_view) for group in self.references]
-
-    def _next_query(self, full_view: FullView, views: dict[frozenset[int], View]) -> Candidate | None:
+    def _next_query(self, present: frozenset[int], views: dict[frozenset[int], View]) -> Candidate | None:
         """The group to verify next; None where none is informative enough or an attack is improbable."""
-        unseen = 2 ** int(full_view.present.sum()) - 1 - len(views)
+        unseen = 2 ** len(present) - 1 - len(views)
         if not self.references or not unseen or self.posterior.attack_probs().sum() < ALARM_PROB:
             return None
-        seen = np.array([self._members(group) for group in views])
-        best = best_query(self._sources(full_view), self._hypotheses(), full_view.present, seen, self.rng)
+        seen, here = self._all_members(views), self.fleet.members(present)
+        best = best_query(self._sources(present), self._hypotheses(), here, seen, self.rng)
         return best if best.gain >= self.min_gain_bits else None
 
-    def _learn(self, frame: Frame, group: frozenset[int], view: View, full_view: FullView | None = None) -> None:
+    def _learn(self, frame: Frame, group: frozenset[int], view: View, present: frozenset[int] | None = None) -> None:
         """Compare a view with its most informative reference, and with the full view where that is another."""
         if self.references:
-            reference = best_reference(self._members(group), self._sources(full_view), self._hypotheses())
-            self._compare(frame, group, view, reference)
+            members = self.fleet.members(group)
+            self._compare(frame, group, view, best_reference(members, self._sources(present), self._hypotheses()))
 
     def _compare(self, frame: Frame, group: frozenset[int], view: View, reference: Reference) -> None:
-        similarity = frame.similarity(view, self.references[numbers(reference.group)])
-        found = self.likelihood.bin(similarity)
-        self.posterior.update(Comparison(self._members(group), reference.group, reference.table, found))
-        if (full_view := reference.full_view) is not None:
+        members = self.fleet.members(group)
+        found = self.likelihood.bin(frame.similarity(view, self.references[numbers(reference.group)]))
+        self.posterior.update(reference.evidence(members, found))
+        if reference.full_view is not None:
             found = self.likelihood.bin(frame.similarity(view, frame.seen), full_view=True)
-            self.posterior.update(FullViewComparison(self._members(group), full_view.present, full_view.table, found))
+            self.posterior.update(reference.full_view_evidence(members, found))
+
+    def _all_members(self, groups: Iterable[frozenset[int]]) -> Bool[np.ndarray, "X n"]:
+        return np.array([self.fleet.members(group) for group in groups], dtype=bool).reshape(-1, self.n)
 
     def _end(self, views: dict[frozenset[int], View]) -> None:
         """Keep the references, or replace them by views that are probably uncontaminated."""
-        uncontaminated = {
-            group: self.posterior.uncontaminated_probability(self._members(group), now=True) for group in views
-        }
-        old = max(
-            (self.posterior.uncontaminated_probability(self._members(g), now=False) for g in self.references),
-            default=0.0,
-        )
-        best = max(uncontaminated.values())
-        renew = best * self.likelihood.discrimination(1) >= RENEW_MARGIN * old * self.likelihood.discrimination(
-            self.age + 1
-        )
+        now = self.posterior.uncontaminated_probability(self._all_members(views), now=True)
+        then = self.posterior.uncontaminated_probability(self._all_members(self.references), now=False)
+        best, old, discrimination = float(now.max()), float(then.max(initial=0)), self.fleet.discrimination
+        renew = best * discrimination(1) >= RENEW_MARGIN * old * discrimination(self.age + 1)
         start = ONSET_PROB / self.likelihood.modes
         self.attack_probs = start + (PERSISTENCE_PROB[: self.likelihood.modes] - start) * self.posterior.attack_probs()
         self.posterior.advance(renew)
         if renew:
-            self.references = {group: view for group, view in views.items() if uncontaminated[group] >= best / 2}
+            self.references = {group: views[group] for group, p in zip(views, now, strict=True) if p >= best / 2}
             self.age = 0
-
-    def _members(self, group: frozenset[int]) -> Members:
-        members = np.zeros(self.n, dtype=bool)
-        members[list(group)] = True
-        return members
 
 
 def numbers(members: Members) -> frozenset[int]:
     """Numbers of the members."""
-    return frozenset(np.flatnonzero(members).tolist())
-
-
-def utility_table(likelihood: Likelihood, n: int) -> np.ndarray:
-    """`utility[mode, size, attackers]` of a view. The last column, -1, is an outlier: all groups are equal."""
-    table = np.zeros((likelihood.modes + 1, n + 1, n + 2))
-    for mode, size in product(range(likelihood.modes + 1), range(1, n + 1)):
-        utility = [likelihood.utility(size, attackers, mode) for attackers in range(size + 1 if mode else 1)]
-        table[mode, size, : len(utility)] = utility
-    table[:, 1:, -1] = likelihood.utility(1, 0)
-    return table
+    return frozenset(members.nonzero()[0].tolist())

@@ -1,9 +1,9 @@
-"""Measured densities of similarities: a file of histograms for each fusion."""
+"""Measured densities of similarities: histograms, a part of a detector's calibration."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
+from hashlib import sha256
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -11,11 +11,18 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from defenders.bayes.likelihood import Likelihood, Row, Verifier, attackers_in_groups, attackers_in_one, overlaps
+from defenders.bayes.likelihood import (
+    Likelihood,
+    Row,
+    Verifier,
+    attackers_in_groups,
+    attackers_in_one,
+    overlaps,
+    read_only,
+)
+from defenders.calibration.files import DENSITIES
+from defenders.calibration.lookup import DEFAULT, calibration_for
 
-CALIBRATED = Path(__file__).with_name("densities")
-DEFAULT = "mean"
-"""The fusion whose densities serve until a defender is configured for another, and for a fusion without a file."""
 FADES = 0.95  # share of its discrimination that a reference older than was measured keeps with every frame
 
 
@@ -88,6 +95,7 @@ class Calibrated(Likelihood):
         ):
             if not (np.isfinite(cells).all() and (cells >= 0).all() and np.allclose(cells.sum(1), 1, atol=1e-3)):
                 raise ValueError("every density must be a histogram that sums to one; calibrate again")
+        edges, full_view_edges = read_only(edges.copy()), read_only(full_view_edges.copy())
         self.edges, self.oldest, self.most, self.modes = edges, len(uncontaminated), most, len(one_contaminated)
         self.tail, self.middle = tail, _normalised(benign_rows.mean(0) + contaminated_rows.mean(0))
         self._uncontaminated = [
@@ -101,6 +109,24 @@ class Calibrated(Likelihood):
         ]
         self.full_view_edges, middle = full_view_edges, _stacked(full_view).mean(0)
         self._full_view = [{kind: self._tailed(row, middle) for kind, row in of.items()} for of in full_view]
+        self._digest = self._digested()
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Calibrated) and self._digest == other._digest
+
+    def __hash__(self) -> int:
+        return hash(self._digest)
+
+    def _digested(self) -> str:
+        """Digest of all densities: equal ones are known by it."""
+        found = sha256(repr((self.oldest, self.most, self.modes, len(self.edges), self.tail)).encode())
+        for array in (self.edges, self.full_view_edges, self.middle):
+            found.update(array.tobytes())
+        for densities in (self._uncontaminated, self._one_contaminated, self._both_contaminated, self._full_view):
+            for of in densities:
+                for _, row in sorted(of.items()):
+                    found.update(row.tobytes())
+        return found.hexdigest()
 
     def uncontaminated(self, size: int, reference: int, shared: int, age: int) -> Row:
         one, other = min(size, self.most), min(reference, self.most)
@@ -146,7 +172,7 @@ class Calibrated(Likelihood):
 
 
 def _normalised(row: Row) -> Row:
-    return row / row.sum()
+    return read_only(row / row.sum())
 
 
 def _stacked(densities: Sequence[Mapping[Any, Row]]) -> Float[np.ndarray, "R B"]:
@@ -157,31 +183,37 @@ def open_likelihood(likelihood: str | Likelihood, fusion: str = DEFAULT) -> Like
     """Open the densities that a defender is built with.
 
     Args:
-        likelihood: `"calibrated"`, the shipped densities of the fusion; `"perfect"`, a binary verifier; or a finished
-            `Likelihood`.
-        fusion: How the ego fuses. A fusion without a file takes that of `DEFAULT`.
+        likelihood: `"calibrated"`, the densities measured with the ego's detector; `"perfect"`, a binary verifier; the
+            path of a calibration file; or a finished `Likelihood`.
+        fusion: How the ego fuses, with the digest of its detector: see `calibration_for`.
 
     Raises:
-        ValueError: For another name.
+        ValueError: For another name, or a calibration file that is broken.
     """
     if isinstance(likelihood, Likelihood):
         return likelihood
     if likelihood == "perfect":
         return Verifier()
-    if likelihood == "calibrated":
-        path = CALIBRATED / f"{fusion}.json"
-        return read_likelihood(path if path.exists() else CALIBRATED / f"{DEFAULT}.json")
-    raise ValueError(f'likelihood must be "calibrated", "perfect" or a Likelihood, got {likelihood!r}')
+    if likelihood == "calibrated" or likelihood.endswith(".json"):
+        found = calibration_for(fusion, DENSITIES, None if likelihood == "calibrated" else Path(likelihood))
+        return likelihood_of(found.densities(), str(found.path))
+    raise ValueError(
+        'likelihood must be "calibrated", "perfect", the path of a calibration file (.json) or a Likelihood, got '
+        f"{likelihood!r}"
+    )
 
 
-def read_likelihood(path: Path) -> Calibrated:
-    """Read what `examples/calibrate_likelihood.py` writes.
+def likelihood_of(stored: Mapping[str, Any], where: str = "this calibration") -> Calibrated:
+    """The densities that `cp-calibrate` measured.
+
+    Args:
+        stored: The part of a calibration file.
+        where: The name of the file, for messages.
 
     Raises:
-        ValueError: If the file is missing or broken. The message names it.
+        ValueError: If the part is broken. The message names the file.
     """
     try:
-        stored: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         n = int(stored["n_vehicles"])
 
         def by_kind(name: str, kinds: Sequence[Any]) -> list[dict[Any, Row]]:
@@ -196,7 +228,5 @@ def read_likelihood(path: Path) -> Calibrated:
             by_kind("full_view", attackers_in_groups(n)),
             tail=float(stored["tail"]),
         )
-    except FileNotFoundError as error:
-        raise ValueError(f"no calibrated likelihood at {path}; write it with calibrate_likelihood.py") from error
-    except (json.JSONDecodeError, KeyError, IndexError, TypeError, AttributeError, ValueError) as error:
-        raise ValueError(f"broken likelihood file {path}: {error!r}; restore it or calibrate again") from error
+    except (KeyError, IndexError, TypeError, AttributeError, ValueError) as error:
+        raise ValueError(f"broken densities in {where}: {error!r}; measure them again with cp-calibrate") from error

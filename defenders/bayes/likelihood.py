@@ -128,104 +128,110 @@ class Likelihood(ABC):
 
 
 class Table:
-    """All densities that a fleet of `n` can meet, as rows, and the row of every comparison."""
+    """All densities that a fleet of `n` can meet, as rows, and the row of every comparison. Read-only."""
 
     def __init__(self, likelihood: Likelihood, n: int, age: int) -> None:
-        self._rows: list[Row] = []
-        self._known: dict[bytes, int] = {}
+        found = _Rows()
         self._most = most = min(n, likelihood.most)
         self.modes = modes = likelihood.modes
-        self._outlier = np.zeros((modes + 1, most + 1, most + 1), dtype=np.int64)
-        self._uncontaminated = np.zeros((n + 1, n + 1, n + 1), dtype=np.int64)
-        self._one_contaminated = np.zeros((modes + 1, n + 1, n + 1, most + 1), dtype=np.int64)
-        self._both_contaminated = np.zeros((modes + 1, modes + 1, most + 1, most + 1), dtype=np.int64)
+        self._outlier = np.zeros((modes + 1, most + 1, most + 1), dtype=np.int32)
+        self._uncontaminated = np.zeros((n + 1, n + 1, n + 1), dtype=np.int32)
+        self._one_contaminated = np.zeros((modes + 1, n + 1, n + 1, most + 1), dtype=np.int32)
+        self._both_contaminated = np.zeros((modes + 1, modes + 1, most + 1, most + 1), dtype=np.int32)
         for size, other, shared in overlaps(n):
-            self._uncontaminated[size, other, shared] = self._add(likelihood.uncontaminated(size, other, shared, age))
+            self._uncontaminated[size, other, shared] = found.add(likelihood.uncontaminated(size, other, shared, age))
         each_mode, one_of_most = range(1, modes + 1), range(1, most + 1)
         for mode, size, other in product(each_mode, range(1, n + 1), one_of_most):
             for attackers in range(1, size + 1):
-                self._one_contaminated[mode, size, attackers, other] = self._add(
+                self._one_contaminated[mode, size, attackers, other] = found.add(
                     likelihood.one_contaminated(size, attackers, other, mode)
                 )
         for mode, size, other in product(each_mode, one_of_most, one_of_most):
-            self._outlier[mode, size, other] = self._add(likelihood.outlier(size, other, mode))
+            self._outlier[mode, size, other] = found.add(likelihood.outlier(size, other, mode))
         for mode, other_mode, size, other in product(each_mode, each_mode, one_of_most, one_of_most):
-            self._both_contaminated[mode, other_mode, size, other] = self._add(
+            self._both_contaminated[mode, other_mode, size, other] = found.add(
                 likelihood.both_contaminated(size, other, mode, other_mode)
             )
-        self.density: Float[np.ndarray, "R B"] = np.array(self._rows)
-        self.entropy = entropy(self.density)
+        self.density: Float[np.ndarray, "R B"] = found.stacked()
+        self.entropy = read_only(entropy(self.density))
+        for rows in (self._outlier, self._uncontaminated, self._one_contaminated, self._both_contaminated):
+            read_only(rows)
 
-    def _add(self, row: Row) -> int:
-        if (key := row.tobytes()) not in self._known:
-            self._known[key] = len(self._rows)
-            self._rows.append(row)
-        return self._known[key]
-
-    def rows(
-        self,
-        size: int | Counts,
-        attackers: Counts,
-        reference: int,
-        reference_attackers: Counts,
-        shared: int | Counts,
-        mode: int | Counts = 1,
-        reference_mode: int | Counts = 1,
-    ) -> Counts:
-        """Rows of `density` for comparisons of one view with one reference.
+    def rows(self, size: int, reference: int, shared: int) -> Int[np.ndarray, "A i A j"]:
+        """Rows of `density` for comparisons of a view with a reference, whoever attacks.
 
         Args:
             size: Vehicles in the view.
-            attackers: Active attackers in the view; -1 for an outlier.
             reference: Vehicles in the reference.
-            reference_attackers: Active attackers in the reference; -1 for an outlier.
             shared: Vehicles in both.
-            mode: Mode of the attack in the view.
-            reference_mode: Mode of the attack in the reference.
+
+        Returns:
+            `rows[mode, attackers, reference_mode, reference_attackers]`, by the mode of the attack and the active
+            attackers in the view, then in the reference. Mode 0 is no attack, whatever the number beside it. A number
+            of -1 stands for an outlier.
         """
-        one, other = np.minimum(size, self._most), min(reference, self._most)
-        row = np.where(
-            attackers > 0,
-            self._one_contaminated[mode, size, attackers, other],
-            self._one_contaminated[reference_mode, reference, reference_attackers, one],
-        )
-        row = np.where(
-            (attackers == 0) & (reference_attackers == 0), self._uncontaminated[size, reference, shared], row
-        )
-        row = np.where(
-            (attackers > 0) & (reference_attackers > 0), self._both_contaminated[mode, reference_mode, one, other], row
-        )
-        outlier = self._outlier[np.where(attackers < 0, mode, reference_mode), one, other]
-        return np.where((attackers < 0) | (reference_attackers < 0), outlier, row)
+        one, other = min(size, self._most), min(reference, self._most)
+        rows = np.empty((self.modes + 1, size + 2, self.modes + 1, reference + 2), dtype=np.int64)
+        rows[:] = self._uncontaminated[size, reference, shared]
+        rows[1:, 1:-1] = self._one_contaminated[1:, size, 1 : size + 1, other, None, None]
+        rows[:, :, 1:, 1:-1] = self._one_contaminated[1:, reference, 1 : reference + 1, one]
+        rows[1:, 1:-1, 1:, 1:-1] = self._both_contaminated[1:, None, 1:, None, one, other]
+        rows[:, :, 1:, -1] = self._outlier[1:, one, other]
+        rows[1:, -1] = self._outlier[1:, one, other, None, None]
+        return rows
 
 
 class FullViewTable:
-    """All densities of a similarity to the full view of `everyone`, as rows, and the row of every group."""
+    """All densities of a similarity to the full view of `everyone`, as rows, and the row of every group. Read-only."""
 
     def __init__(self, likelihood: Likelihood, everyone: int) -> None:
-        rows: list[Row] = []
+        found = _Rows()
         self.modes = modes = likelihood.modes
-        self._row = np.zeros((modes + 1, everyone + 1, everyone + 1, everyone + 1), dtype=np.int64)
-        self._outlier = np.zeros((modes + 1, everyone + 1), dtype=np.int64)
+        self._row = np.zeros((modes + 1, everyone + 1, everyone + 1, everyone + 2), dtype=np.int32)
         for mode, size in product(range(1, modes + 1), range(1, everyone + 1)):
-            first = len(rows)
+            rows = []
             for total_attackers in range(everyone + 1):
                 for attackers in range(max(size + total_attackers - everyone, 0), min(size, total_attackers) + 1):
-                    self._row[mode, size, attackers, total_attackers] = len(rows)
                     rows.append(likelihood.full_view(size, attackers, everyone, total_attackers, mode))
-            self._outlier[mode, size] = len(rows)
-            rows.append((1 - OUTLIER_MIX) * rows[first] + OUTLIER_MIX * np.mean(rows[first:], axis=0))
-        self.density: Float[np.ndarray, "R B"] = np.array(rows)
-        self.entropy = entropy(self.density)
+                    self._row[mode, size, attackers, total_attackers] = found.add(rows[-1])
+            outlier = (1 - OUTLIER_MIX) * rows[0] + OUTLIER_MIX * np.mean(rows, axis=0)
+            self._row[mode, size, :, -1] = found.add(outlier)
+        self._row[0] = self._row[1, :, :1, :1]
+        self.density: Float[np.ndarray, "R B"] = found.stacked()
+        self.entropy = read_only(entropy(self.density))
+        read_only(self._row)
 
     def rows(self, size: int | Counts, attackers: Counts, total_attackers: Counts, mode: int | Counts = 1) -> Counts:
-        """Rows of `density`. `total_attackers` = -1 stands for an outlier."""
-        mode = np.maximum(mode, 1)
-        row = self._row[mode, size, np.maximum(attackers, 0), np.maximum(total_attackers, 0)]
-        return np.where(total_attackers < 0, self._outlier[mode, size], row)
+        """Rows of `density`. `total_attackers` = -1 stands for an outlier, `mode` = 0 for no attack."""
+        return np.asarray(self._row[mode, size, attackers, total_attackers])
 
 
-@dataclass(frozen=True, eq=False)
+class _Rows:
+    """Rows, each of which is kept once."""
+
+    def __init__(self) -> None:
+        self._number: dict[bytes, int] = {}
+        self._rows: list[Row] = []
+
+    def add(self, row: Row) -> int:
+        """The number of the row."""
+        if (key := row.tobytes()) not in self._number:
+            self._number[key] = len(self._rows)
+            self._rows.append(row)
+        return self._number[key]
+
+    def stacked(self) -> Float[np.ndarray, "R B"]:
+        """All rows, in the order of their numbers."""
+        return read_only(np.array(self._rows))
+
+
+def read_only(array: np.ndarray) -> np.ndarray:
+    """The array, which from now on cannot be written to."""
+    array.setflags(write=False)
+    return array
+
+
+@dataclass(frozen=True)
 class Verifier(Likelihood):
     """Likelihood of a binary verifier: similar (1) if neither view is contaminated, else dissimilar (0), with errors.
 
@@ -240,8 +246,8 @@ class Verifier(Likelihood):
             if not 0 < getattr(self, name) < 0.5:
                 raise ValueError(f"{name} is a rate of error between 0 and 0.5, got {getattr(self, name)}; try 1e-3")
 
-    edges = np.array([0.0, 0.5, 1.0])
-    full_view_edges = np.array([0.0, 1.0])
+    edges = read_only(np.array([0.0, 0.5, 1.0]))
+    full_view_edges = read_only(np.array([0.0, 1.0]))
     oldest = most = 1
 
     def uncontaminated(self, size: int, reference: int, shared: int, age: int) -> Row:

@@ -16,7 +16,18 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float
 
-from defenders.bayes.posterior import Density, Evidence, ModeProbs, Posterior, Sets, ended, predicted, prior, settled
+from defenders.bayes.posterior import (
+    Density,
+    Evidence,
+    Joint,
+    ModeProbs,
+    Posterior,
+    Sets,
+    ended,
+    predicted,
+    prior,
+    settled,
+)
 
 MEMORY = 32  # frames that are replayed
 MOVES, MORE_MOVES = 3, 12  # proposed by every particle after a frame with an attack: as a rule, after resampling
@@ -51,8 +62,13 @@ class Particles(Posterior):
         self.history: list[FrameEvidence] = []
         self.frame = FrameEvidence()
         self.summary: MarginalSummary | None = None
-        self._begin(drawn(n, size, rng), switch_prob, modes)
+        sets = drawn(n, size, rng)
+        self._begin(sets, prior(sets), switch_prob, modes)
         self._weigh(np.full(size, 1 / size))
+
+    @property
+    def mass(self) -> Joint:
+        return self.joint * self.scale[:, None, None]
 
     def predict(self, attack_probs: ModeProbs) -> None:
         self.frame, self.before = FrameEvidence(attack_probs=attack_probs), self.density
@@ -64,7 +80,7 @@ class Particles(Posterior):
 
     def _normalise(self) -> None:
         total = float(self.mass.sum())
-        self.joint /= total
+        self.joint = self.joint / total
         self.frame.total *= total
 
     def advance(self, renew: bool) -> None:

@@ -23,16 +23,19 @@ The recursion is pointwise in L: of the other sets it needs only the normaliser.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from math import comb
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from defenders.bayes.likelihood import FullViewTable, Table
+from defenders.bayes.likelihood import FullViewTable, Table, read_only
 
 OUTLIER_PRIOR = np.array([0.05, 4.0])  # g_a, by mode: streets in which benign views agree little are not rare
 ONSET_PROB = 0.02  # Σ q after a pause
 PERSISTENCE_PROB = np.array([0.7, 0.85])  # q of a mode after a frame with such an attack; to end a stealthy one shows
+
+LISTS = 4  # fleets whose list of all sets is kept
 
 Sets = Bool[np.ndarray, "S n"]
 Density = Float[np.ndarray, "S A"]
@@ -51,17 +54,13 @@ class Comparison:
 
     def likelihood(self, sets: Sets) -> Joint:
         """Probability of the similarity under every (L, b, a)."""
-        size, reference = int(self.group.sum()), int(self.reference.sum())
-        shared = int((self.group & self.reference).sum())
-        none, nobody = np.zeros(len(sets), dtype=np.int64), ~sets.any(1)
-        now = np.where(nobody, -1, sets[:, self.group].sum(1))
-        then = np.where(nobody, -1, sets[:, self.reference].sum(1))
-        values, modes = self.table.density[:, self.bin], range(self.table.modes + 1)
-        rows = [
-            [self.table.rows(size, now if a else none, reference, then if b else none, shared, a, b) for a in modes]
-            for b in modes
-        ]
-        return np.moveaxis(values[np.array(rows)], 2, 0)
+        rows = self.table.rows(
+            int(self.group.sum()), int(self.reference.sum()), int((self.group & self.reference).sum())
+        )
+        nobody, modes = ~sets.any(1), np.arange(self.table.modes + 1)
+        now = np.where(nobody, -1, sets[:, self.group].sum(1))[:, None, None]
+        then = np.where(nobody, -1, sets[:, self.reference].sum(1))[:, None, None]
+        return self.table.density[rows[modes, now, modes[:, None], then], self.bin]
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,14 +75,24 @@ class FullViewComparison:
     def likelihood(self, sets: Sets) -> Joint:
         """Probability of the similarity under every (L, b, a); b says nothing about it."""
         total = np.where(sets.any(1), sets[:, self.present].sum(1), -1)
-        attackers, nobody = sets[:, self.group].sum(1), np.zeros(len(sets), dtype=np.int64)
-        size, modes = int(self.group.sum()), range(1, self.table.modes + 1)
-        rows = [self.table.rows(size, nobody, nobody), *(self.table.rows(size, attackers, total, a) for a in modes)]
-        values = self.table.density[:, self.bin][np.stack(rows, axis=1)]
-        return np.repeat(values[:, None], self.table.modes + 1, axis=1)
+        attackers, modes = sets[:, self.group].sum(1), np.arange(self.table.modes + 1)
+        rows = self.table.rows(int(self.group.sum()), attackers[:, None], total[:, None], modes)
+        values = self.table.density[rows, self.bin]
+        return np.broadcast_to(values[:, None], (len(sets), len(modes), len(modes)))
 
 
-Evidence = Comparison | FullViewComparison
+@dataclass(frozen=True, eq=False)
+class Known:
+    """A binned similarity whose probability under every (L, b, a) was looked up."""
+
+    values: Joint
+
+    def likelihood(self, sets: Sets) -> Joint:
+        """The values, which are those of all listed sets."""
+        return self.values
+
+
+Evidence = Comparison | FullViewComparison | Known
 
 
 class Posterior:
@@ -97,25 +106,22 @@ class Posterior:
             switch_prob: φ, the probability that L is drawn anew in a frame with an attack.
             modes: Number of attack modes.
         """
-        codes = np.arange(max(2**n - 1, 1))
-        self._begin((codes[:, None] >> np.arange(n) & 1).astype(bool), switch_prob, modes)
+        self._begin(every_set(n), every_prior(n), switch_prob, modes)
 
-    def _begin(self, sets: Sets, switch_prob: float, modes: int) -> None:
-        self.sets, self.switch_prob = sets, switch_prob
-        self.prior = prior(sets)
-        self.scale: Float[np.ndarray, " S"] = np.ones(len(sets))  # what a point of the density stands for
+    def _begin(self, sets: Sets, birth: Float[np.ndarray, " S"], switch_prob: float, modes: int) -> None:
+        self.sets, self.prior, self.switch_prob = sets, birth, switch_prob
         self.joint = np.zeros((len(sets), modes + 1, modes + 1))
         self.joint[:, 0, 0] = self.prior
 
     @property
     def density(self) -> Density:
-        """p(L, b), up to `scale`."""
+        """p(L, b)."""
         return self.joint.sum(2)
 
     @property
     def mass(self) -> Joint:
-        """Probability of (L, b, a), summing to one."""
-        return self.joint * self.scale[:, None, None]
+        """Probability of (L, b, a), summing to one. It is not written to."""
+        return self.joint
 
     def predict(self, attack_probs: ModeProbs) -> None:
         """Begin a new frame, in which the attackers are active with probability `attack_probs[mode - 1]`."""
@@ -124,7 +130,7 @@ class Posterior:
 
     def update(self, evidence: Evidence) -> None:
         """Condition on one similarity of this frame."""
-        self.joint *= evidence.likelihood(self.sets)
+        self.joint = np.multiply(self.joint, evidence.likelihood(self.sets), order="C")
         self._normalise()
 
     def advance(self, renew: bool) -> None:
@@ -144,14 +150,27 @@ class Posterior:
         """Probability of the likeliest set."""
         return float(self.mass.sum((1, 2)).max())
 
-    def uncontaminated_probability(self, group: Bool[np.ndarray, " n"], *, now: bool) -> float:
-        """Probability that a group's view, of this frame or of the references' frame, is uncontaminated."""
-        over = self.mass.sum(1 if now else 2)  # [S, a] or [S, b]
-        contaminated = (self.sets & group).any(1) | ~self.sets.any(1)
-        return float(1 - over[contaminated, 1:].sum())
+    def uncontaminated_probability(self, groups: Bool[np.ndarray, "X n"], *, now: bool) -> Float[np.ndarray, " X"]:
+        """Probability that each group's view, of this frame or of the references' frame, is uncontaminated."""
+        attacked = self.mass.sum(1 if now else 2)[:, 1:].sum(1)
+        contaminated = groups @ self.sets.T | ~self.sets.any(1)
+        return 1 - (contaminated * attacked).sum(1)
 
     def _normalise(self) -> None:
-        self.joint /= self.mass.sum()
+        self.joint = self.joint / self.mass.sum()
+
+
+@lru_cache(LISTS)
+def every_set(n: int) -> Sets:
+    """All sets of attackers among n vehicles but that of all, in the order of their members' bits. Read-only."""
+    codes = np.arange(max(2**n - 1, 1))
+    return read_only((codes[:, None] >> np.arange(n) & 1).astype(bool))
+
+
+@lru_cache(LISTS)
+def every_prior(n: int) -> Float[np.ndarray, " S"]:
+    """Prior of each of `every_set`. Read-only."""
+    return read_only(prior(every_set(n)))
 
 
 def prior(sets: Sets) -> Float[np.ndarray, " S"]:

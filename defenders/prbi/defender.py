@@ -65,8 +65,8 @@ class Prbi(Defender):
             alpha: α, the level of the t-test.
             gamma: γ, the weight of the last posterior in the prior, Eq. (12).
             lam: λ, the weight of the normal ratio in the prior, Eq. (12).
-            threshold: "paper": ε for every group. "calibrated": one ε for each group size, shipped for each fusion (see
-                `configure`). Or a mapping from group size to ε.
+            threshold: "paper": ε for every group. "calibrated": one ε for each group size, measured with the ego's
+                detector (see `configure` and `cp-calibrate`). Or a calibration file, or a mapping from group size to ε.
             rounding: "floor", "nearest" or "ceiling" of m when vehicles are grouped and flagged (Theorem 2).
             stopping: "paper": both conditions of convergence. "never": go on verifying, to watch m.
             rearm: Whether the output is compared with the one before after convergence, too. If it is abnormal, the

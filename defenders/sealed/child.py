@@ -11,6 +11,8 @@ import io
 import json
 import os
 import sys
+import threading
+import time
 import weakref
 from dataclasses import dataclass, field
 from typing import Any, TextIO
@@ -18,7 +20,10 @@ from typing import Any, TextIO
 import numpy as np
 
 import defenders
-from defenders.protocol import Defender, Informed, Inspection, Query, Verdict
+from defenders.protocol import Defender, EgoFusion, Informed, Inspection, Query, Verdict
+
+WATCH = 0.5
+"""Seconds after which it is asked again whether the parent lives."""
 
 
 class Handle:
@@ -112,8 +117,8 @@ class Server:
                 table.pop(number, None)
         return {}
 
-    def _do_configure(self, number: int, fusion: str) -> dict[str, Any]:
-        self._defenders[number].configure(fusion=fusion)
+    def _do_configure(self, number: int, fusion: str, detector: str | None) -> dict[str, Any]:
+        self._defenders[number].configure(fusion=EgoFusion(fusion, detector))
         return {}
 
     def _do_reveal(self, number: int, attackers: list[int]) -> dict[str, Any]:
@@ -171,8 +176,21 @@ def generator_of(rng: dict[str, Any]) -> np.random.Generator:
     return generator
 
 
+def end_with_parent() -> None:
+    """Let this process end within a second of the one that started it, even if a defender is at work for ever."""
+    parent = os.getppid()
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(WATCH)
+        os._exit(1)
+
+    threading.Thread(target=watch, name="parent's end", daemon=True).start()
+
+
 def main() -> None:
     """Serve on standard input and output; what a plug-in prints goes to standard error."""
+    end_with_parent()
     answers = io.TextIOWrapper(os.fdopen(os.dup(1), "wb"), encoding="utf-8")
     os.dup2(2, 1)
     Server(sys.stdin, answers).serve()

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import math
-import subprocess
 import sys
+import time
 import weakref
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from defenders.protocol import Defender, Frame, Informed, Inspection, Query, Verdict, View
+from defenders.protocol import Defender, EgoFusion, Frame, Informed, Inspection, Query, Verdict, View
+from defenders.sealed.pipe import Pipe, PipeError
 
-MAX_LINE = 1 << 20
-"""Characters of one answer; a longer one is an error of the defender's."""
+PATIENCE = 60.0
+"""Seconds that are waited for an answer; then the defender has failed, and its process is ended. Our choice."""
 
 
 class SealedError(RuntimeError):
@@ -24,18 +24,15 @@ class SealedError(RuntimeError):
 
 
 class Process:
-    """The process that holds the defenders of one run. It ends when its last proxy is gone, or this process is."""
+    """The process that holds the defenders of one run. It ends when its last proxy is gone, or this process is.
 
-    def __init__(self) -> None:
-        self._child = subprocess.Popen(
-            [sys.executable, "-m", "defenders.sealed.child"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-            encoding="utf-8",
-            cwd=Path.cwd(),
-        )
-        weakref.finalize(self, _end, self._child)
+    Args:
+        patience: seconds that are waited for each answer, the questions on the way to it included.
+    """
+
+    def __init__(self, patience: float = PATIENCE) -> None:
+        self.patience, self._until = patience, 0.0
+        self._pipe = Pipe([sys.executable, "-m", "defenders.sealed.child"])
         self._numbers = 0
         self._gone: list[int] = []  # proxies that were collected; told at the next request
         self._views: dict[int, View] = {}
@@ -53,6 +50,7 @@ class Process:
 
     def request(self, op: str, **fields: Any) -> dict[str, Any]:
         """Ask, and wait for the answer; an answer may be a question of the child's."""
+        self._until = time.monotonic() + self.patience
         if self._gone:
             gone, self._gone = self._gone, []
             self._exchange({"op": "drop", "numbers": gone})
@@ -82,28 +80,17 @@ class Process:
         self._handles = {id(view): handle for handle, view in self._views.items()}
 
     def _exchange(self, message: dict[str, Any]) -> dict[str, Any]:
-        assert self._child.stdin is not None and self._child.stdout is not None
         try:
-            self._child.stdin.write(json.dumps(message) + "\n")
-            self._child.stdin.flush()
-            line = self._child.stdout.readline(MAX_LINE)
-            answer = json.loads(line) if line.endswith("\n") else None
-        except (OSError, ValueError, RecursionError) as error:
+            answer = json.loads(self._pipe.exchange(json.dumps(message), self._until))
+        except PipeError as error:
+            raise SealedError(f"{error} (it has {self.patience:g} s for an answer)") from error
+        except (ValueError, RecursionError) as error:
             raise SealedError(f"its process does not answer ({error})") from error
         if not isinstance(answer, dict):
-            raise SealedError("its process ended, or answered more than a line can hold")
+            raise SealedError(f"answered what is no answer: {answer!r:.80}")
         if "error" in answer:
             raise SealedError(str(answer["error"])[:2000])
         return answer
-
-
-def _end(child: subprocess.Popen[str]) -> None:
-    child.kill()
-    for pipe in (child.stdin, child.stdout):
-        with contextlib.suppress(OSError):  # what was not written yet will not be read
-            if pipe is not None:
-                pipe.close()
-    child.wait()
 
 
 class SealedDefender(Defender):
@@ -128,7 +115,8 @@ class SealedDefender(Defender):
         raise TypeError("a sealed defender cannot be pickled: its state is in another process")
 
     def configure(self, *, fusion: str) -> None:
-        self._process.request("configure", number=self._number, fusion=fusion)
+        detector = fusion.detector if isinstance(fusion, EgoFusion) else None
+        self._process.request("configure", number=self._number, fusion=fusion, detector=detector)
 
     def reset(self, n_vehicles: int, rng: np.random.Generator) -> None:
         """Begin an episode; the child gets a generator in the same state."""
@@ -174,11 +162,13 @@ class SealedInformedDefender(SealedDefender, Informed):
         self._process.request("reveal", number=self._number, attackers=sorted(attackers))
 
 
-def seal(spec: str) -> SealedDefender:
+def seal(spec: str, *, patience: float = PATIENCE) -> SealedDefender:
     """A defender in a fresh process of its own.
 
     Args:
         spec: a name or place with options, as `defenders.make` takes it. Objects cannot be sealed.
+        patience: seconds that are waited for each answer. After that the defender has failed, which ends its episode
+            with an error that says so, and its process is ended.
 
     Returns:
         A defender that a world may copy; the copies live in the same process.
@@ -186,7 +176,7 @@ def seal(spec: str) -> SealedDefender:
     Raises:
         ValueError: what `defenders.make` raises there.
     """
-    process = Process()
+    process = Process(patience)
     number = process.number()
     try:
         made = process.request("make", number=number, spec=spec, path=[entry or str(Path.cwd()) for entry in sys.path])

@@ -1,4 +1,4 @@
-"""Similarity thresholds that ship, by group size."""
+"""Similarity thresholds by group size: as published, calibrated, or given."""
 
 from __future__ import annotations
 

@@ -1,91 +1,76 @@
 """Similarity thresholds ε: one for every group, or one for each size of group.
 
 A view of few vehicles resembles the reference less than a view of many, whether it is contaminated or not. So with one
-ε a large contaminated group passes or a small uncontaminated one fails. How much they differ depends on how the ego
-fuses. `thresholds.json` holds, for every fusion that ships, a threshold per group size, calibrated on clean and
-attacked calibration scenes:
-
-    {"mean": {"source": "which scenes and detector", "command": "the command that wrote this entry",
-              "epsilon": {"1": 0.30, "2": 0.41, "3": 0.47}},
-     "max": …}
+ε a large contaminated group passes or a small uncontaminated one fails. How much they differ depends on the detector
+and on how the ego fuses. So calibrated thresholds are measured for each detector, see `defenders.calibration`.
 """
 
 from __future__ import annotations
 
 import copy
-import json
 from collections.abc import Mapping
 from pathlib import Path
 
-CALIBRATED = Path(__file__).with_name("thresholds.json")
-EGO_ONLY = {score: Path(__file__).with_name(f"ego_{score}.json") for score in ("agreement", "similarity")}
-"""The same for a group with the ego, compared with the ego-only view: the reference of ROBOSAC and PASAC."""
+from defenders.calibration.files import checked_thresholds
+from defenders.calibration.lookup import DEFAULT, calibration_for
 
-DEFAULT = "mean"
-"""The fusion whose thresholds serve until a defender is configured for another, and for one without an entry."""
+PREVIOUS_FRAME = "previous_frame"
+"""The part of a calibration for groups that are compared with the frame before: PRBI's."""
+EGO_ONLY = {score: f"ego_{score}" for score in ("agreement", "similarity")}
+"""The parts for groups with the ego that are compared with the ego-only view: those of ROBOSAC and PASAC."""
 
 
 class Thresholds:
     """ε for a group of a given size. A group larger than any calibrated one gets the threshold of the largest."""
 
-    def __init__(self, epsilon: Mapping[int, float], others: Mapping[str, Mapping[int, float]] | None = None) -> None:
-        """`others` take the place of `epsilon` under the fusions that they name.
+    def __init__(self, epsilon: Mapping[int, float], part: str | None = None, path: Path | None = None) -> None:
+        """Check the thresholds.
 
-        Sizes must run from 1 without a gap and every ε lie in [0, 1]; ValueError otherwise.
+        Args:
+            epsilon: ε by group size.
+            part: the part of a calibration that takes their place when the detector is known; None: nothing does.
+            path: the calibration file that was named; None: the one that is found.
+
+        Raises:
+            ValueError: sizes do not run from 1 without a gap, or an ε is not in [0, 1].
         """
-        self.epsilon = self._default = _checked(epsilon)
-        self._others = {fusion: _checked(table) for fusion, table in (others or {}).items()}
+        self.epsilon, self._part, self._path = checked_thresholds(epsilon), part, path
 
     def __call__(self, group: frozenset[int]) -> float:
         return self.epsilon[min(len(group), len(self.epsilon))]
 
     def of(self, fusion: str) -> Thresholds:
-        """The thresholds for an ego with this fusion."""
+        """The thresholds for an ego with this fusion, see `calibration_for`; the same ones if they are not calibrated.
+
+        Raises:
+            ValueError: a calibration file that is broken.
+        """
         made = copy.copy(self)
-        made.epsilon = self._others.get(fusion, self._default)
+        if self._part is not None:
+            made.epsilon = calibration_for(fusion, self._part, self._path).thresholds(self._part)
         return made
 
 
-def _checked(epsilon: Mapping[int, float]) -> dict[int, float]:
-    sizes = sorted(epsilon)
-    if not sizes or sizes != list(range(1, len(sizes) + 1)):
-        raise ValueError(f"thresholds must name every group size from 1 on, got sizes {sizes}; add the missing ones")
-    for size in sizes:
-        if not 0 <= epsilon[size] <= 1:
-            raise ValueError(f"a threshold is a Jaccard similarity in [0, 1], got {epsilon[size]} for size {size}")
-    return {size: float(epsilon[size]) for size in sizes}
+def open_thresholds(threshold: str | Mapping[int, float], epsilon: float, part: str = PREVIOUS_FRAME) -> Thresholds:
+    """The thresholds that a defender is built with.
 
+    Args:
+        threshold: "paper": `epsilon` for every size; "calibrated": the calibration of the ego's detector, that which
+            ships until a defender is configured; the path of a calibration file; or a mapping from size to ε.
+        epsilon: ε of "paper".
+        part: which part of a calibration.
 
-def open_thresholds(threshold: str | Mapping[int, float], epsilon: float, calibrated: Path = CALIBRATED) -> Thresholds:
-    """`"paper"`: `epsilon` for every size; `"calibrated"`: the file of that name; or a mapping from size to ε."""
+    Raises:
+        ValueError: another name, impossible thresholds, or a calibration file that is broken or lacks the part.
+    """
     if isinstance(threshold, Mapping):
         return Thresholds({int(size): value for size, value in threshold.items()})
     if threshold == "paper":
         return Thresholds({1: epsilon})
-    if threshold == "calibrated":
-        return read_thresholds(calibrated)
-    raise ValueError(f'threshold must be "paper", "calibrated" or a mapping from group size to ε, got {threshold!r}')
-
-
-def read_thresholds(path: Path) -> Thresholds:
-    """Read a thresholds file; ValueError naming the file where it is missing or broken."""
-    try:
-        entries = json.loads(path.read_text(encoding="utf-8"))
-        tables = {
-            fusion: {int(size): float(value) for size, value in entry["epsilon"].items()}
-            for fusion, entry in entries.items()
-        }
-        return Thresholds(tables[DEFAULT], tables)
-    except FileNotFoundError as error:
-        raise ValueError(f"no calibrated thresholds at {path}; pass a mapping from group size to ε") from error
-    except (json.JSONDecodeError, KeyError, TypeError, AttributeError, ValueError) as error:
-        raise ValueError(f"broken thresholds file {path}: {error!r}; restore it or pass a mapping") from error
-
-
-def write_thresholds(path: Path, fusion: str, epsilon: Mapping[int, float], *, source: str, command: str) -> None:
-    """Put the entry of one fusion into a thresholds file, which is made if it is not there; the others stay."""
-    entries = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
-    entries[fusion] = {"source": source, "command": command, "epsilon": _checked(epsilon)}
-    draft = path.with_suffix(".part")
-    draft.write_text(json.dumps(entries, indent=1) + "\n", encoding="utf-8")
-    draft.replace(path)
+    named = None if threshold == "calibrated" else Path(threshold)
+    if named is not None and named.suffix != ".json":
+        raise ValueError(
+            'threshold must be "paper", "calibrated", the path of a calibration file (.json), or a mapping from group '
+            f"size to ε, got {threshold!r}"
+        )
+    return Thresholds(calibration_for(DEFAULT, part, named).thresholds(part), part, named)

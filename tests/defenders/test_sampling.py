@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from defenders import Pasac, Prbi, Robosac
+from defenders.calibration.files import read_calibration
+from defenders.calibration.lookup import SHIPPED
 from defenders.simulation.world import SimulatedWorld
-from defenders.thresholds.tables import EGO_ONLY, read_thresholds
+from defenders.thresholds.tables import EGO_ONLY
 
 
 def test_thresholds_by_size_and_by_paper() -> None:
@@ -17,9 +19,10 @@ def test_thresholds_by_size_and_by_paper() -> None:
     assert Pasac(threshold="paper").epsilon(three) == 0.08
     assert Pasac(threshold="paper", score="similarity").epsilon(three) == Robosac().epsilon(three) == 0.3
     assert Pasac(epsilon=0.1).epsilon(three) == 0.1
-    for score, path in EGO_ONLY.items():
-        assert Pasac(score=score).epsilon(pair) == read_thresholds(path)(pair)
-    assert Robosac(threshold="calibrated").epsilon(three) == read_thresholds(EGO_ONLY["similarity"])(three)
+    shipped = read_calibration(SHIPPED / "mean.json")
+    for score, part in EGO_ONLY.items():
+        assert Pasac(score=score).epsilon(pair) == shipped.thresholds(part)[2]
+    assert Robosac(threshold="calibrated").epsilon(three) == shipped.thresholds("ego_similarity")[3]
 
 
 def test_passing_is_above_for_pasac_and_at_least_for_robosac() -> None:

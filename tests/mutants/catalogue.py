@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from tests.mutants.mutant import Mutant
-from tests.mutants.rooms import bayes, boxes, metrics, perturbation, prbi, similarity, verification, world
+from tests.mutants.rooms import bayes, boxes, metrics, perturbation, prbi, similarity, statistics, verification, world
 
 ROOMS: dict[str, tuple[Mutant, ...]] = {
     "perturbation": perturbation.MUTANTS,
@@ -12,6 +12,7 @@ ROOMS: dict[str, tuple[Mutant, ...]] = {
     "similarity": similarity.MUTANTS,
     "boxes": boxes.MUTANTS,
     "metrics": metrics.MUTANTS,
+    "statistics": statistics.MUTANTS,
     "prbi": prbi.MUTANTS,
     "bayes": bayes.MUTANTS,
 }

@@ -32,7 +32,7 @@ from tests.mutants.run import (
 )
 
 ROOT = Path(__file__).parents[2]
-NAMED = {"perturbation", "world", "verification", "similarity", "boxes", "metrics", "prbi", "bayes"}
+NAMED = {"perturbation", "world", "verification", "similarity", "boxes", "metrics", "statistics", "prbi", "bayes"}
 
 
 def test_there_are_enough_in_every_room() -> None:

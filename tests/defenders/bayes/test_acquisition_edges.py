@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from defenders.bayes.acquisition import every_group, unseen
+from defenders.bayes.acquisition import unseen
 
 
 @given(st.integers(1, 5), st.integers(0, 8), st.integers(0, 10**6))
@@ -16,10 +16,3 @@ def test_unseen_are_all_groups_but_the_seen_and_the_empty_one(n: int, count: int
     known = {tuple(group) for group in seen.tolist()} | {(False,) * n}
     expected = [group for group in groups.tolist() if tuple(group) not in known]
     assert unseen(groups, seen).tolist() == expected
-
-
-@given(st.lists(st.booleans(), min_size=1, max_size=6).filter(any))
-def test_every_group_is_made_of_those_present_and_each_comes_once(present: list[bool]) -> None:
-    groups = every_group(np.array(present))
-    assert len({tuple(group) for group in groups.tolist()}) == len(groups) == 2 ** sum(present) - 1
-    assert groups.any(1).all() and not groups[:, ~np.array(present)].any()

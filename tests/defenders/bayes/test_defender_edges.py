@@ -58,7 +58,8 @@ def test_references_are_as_old_as_the_frames_since_they_were_seen(
         (since,) = {view[0] for view in defender.references.values()}
         assert defender.age == index - since
         if defender.age:
-            table = defender.tables[min(defender.age, len(defender.tables)) - 1]
+            tables = defender.fleet.tables
+            table = tables[min(defender.age, len(tables)) - 1]
             assert all(source.table is table for source in defender._sources())
         ages.append(defender.age)
     assert ages == [0, 0, 1, 2, 3, 4, 0, 0]

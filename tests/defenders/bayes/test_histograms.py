@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
-
 import pytest
 
-from defenders.bayes.histograms import CALIBRATED, open_likelihood, read_likelihood
+from defenders.bayes.histograms import likelihood_of, open_likelihood
 from defenders.bayes.likelihood import Verifier
+from defenders.calibration.files import read_calibration
+from defenders.calibration.lookup import SHIPPED
 
 
-@pytest.mark.parametrize("fusion", [path.stem for path in sorted(CALIBRATED.glob("*.json"))])
+@pytest.mark.parametrize("fusion", [path.stem for path in sorted(SHIPPED.glob("*.json"))])
 def test_more_attackers_or_older_references_never_have_more_utility_on_average(fusion: str) -> None:
     """The shipped densities, measured or not."""
     likelihood = open_likelihood("calibrated", fusion)
@@ -33,16 +32,15 @@ def test_bins() -> None:
     assert [likelihood.bin(s) for s in (-0.1, 0.0, 0.49, 0.5, 1.0, 1.1)] == [0, 0, 0, 1, 1, 1]
 
 
-def test_names_of_likelihoods(tmp_path: Path) -> None:
+def test_names_of_likelihoods() -> None:
     assert isinstance(open_likelihood("perfect"), Verifier)
     with pytest.raises(ValueError, match="likelihood must be"):
         open_likelihood("perhaps")
     with pytest.raises(ValueError, match="false_pass"):
         Verifier(false_pass=0.5)
-    with pytest.raises(ValueError, match="no calibrated likelihood"):
-        read_likelihood(tmp_path / "nowhere.json")
-    good = json.loads((CALIBRATED / "mean.json").read_text())
-    path = tmp_path / "likelihood.json"
+    with pytest.raises(ValueError, match=r"no calibration file at nowhere\.json"):
+        open_likelihood("nowhere.json")
+    good = read_calibration(SHIPPED / "mean.json").densities()
     breaks = {
         "edges": [0, 0.5],
         "tail": 2,
@@ -52,6 +50,5 @@ def test_names_of_likelihoods(tmp_path: Path) -> None:
         "full_view": [],
     }
     for name, value in breaks.items():
-        path.write_text(json.dumps({**good, name: value}))
-        with pytest.raises(ValueError, match=path.name):
-            read_likelihood(path)
+        with pytest.raises(ValueError, match=r"broken densities in mine\.json"):
+            likelihood_of({**good, name: value}, "mine.json")

@@ -30,7 +30,7 @@ def test_rows_of_a_table_by_hand() -> None:
     table = Table(likelihood, 4, 2)
 
     def density(size: int, attackers: int, reference: int, its: int, a: int = 0, b: int = 0) -> np.ndarray:
-        return table.density[int(table.rows(size, np.array(attackers), reference, np.array(its), 1, a, b))]
+        return table.density[table.rows(size, reference, 1)[a, attackers, b, its]]
 
     assert (density(2, 0, 3, 0) == likelihood.uncontaminated(2, 3, 1, 2)).all()
     assert (density(2, 0, 3, 0, 1, 2) == likelihood.uncontaminated(2, 3, 1, 2)).all()
@@ -41,6 +41,8 @@ def test_rows_of_a_table_by_hand() -> None:
     assert (density(4, 2, 2, 1, 1, 2) == likelihood.both_contaminated(3, 2, 1, 1)).all()
     assert (density(3, -1, 2, -1, 2, 1) == likelihood.outlier(3, 2, 2)).all()
     assert (density(4, 0, 2, -1, 0, 1) == likelihood.outlier(3, 2, 1)).all()
+    assert (density(3, 2, 2, -1) == likelihood.uncontaminated(3, 2, 1, 2)).all()  # no attack, whatever the numbers
+    assert (density(3, -1, 2, 1, 0, 2) == likelihood.one_contaminated(2, 1, 3, 2)).all()
 
 
 def test_rows_of_the_full_view_by_hand() -> None:

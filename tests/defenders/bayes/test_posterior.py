@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from defenders.bayes.likelihood import Likelihood, Verifier
 from defenders.bayes.posterior import ONSET_PROB, OUTLIER_PRIOR, PERSISTENCE_PROB, Comparison, Posterior
 from tests.helpers.densities import made_up
+from tests.reference.bayes import density
 
 SWITCH_PROB = 0.01
 ATTACK_PROBS = np.array([0.45, 0.25])  # two modes
@@ -45,19 +46,9 @@ def drawn_evidence(n: int, likelihood: Likelihood, seed: int, count: int = 3) ->
 
 
 def probability(likelihood: Likelihood, c: Comparison, age: int, attackers: frozenset[int], b: int, a: int) -> float:
-    """The slow twin of one comparison's likelihood, read off its definition."""
-    group, reference = frozenset(np.flatnonzero(c.group)), frozenset(np.flatnonzero(c.reference))
-    if not attackers and (a or b):
-        one, other = (min(len(members), likelihood.most) for members in (group, reference))
-        return float(likelihood.outlier(one, other, a or b)[c.bin])
-    now, then = len(group & attackers) if a else 0, len(reference & attackers) if b else 0
-    if now and then:
-        return float(likelihood.both_contaminated(len(group), len(reference), a, b)[c.bin])
-    if now:
-        return float(likelihood.one_contaminated(len(group), now, len(reference), a)[c.bin])
-    if then:
-        return float(likelihood.one_contaminated(len(reference), then, len(group), b)[c.bin])
-    return float(likelihood.uncontaminated(len(group), len(reference), len(group & reference), age)[c.bin])
+    """The slow twin of one comparison's likelihood."""
+    group, reference = (frozenset(np.flatnonzero(members).tolist()) for members in (c.group, c.reference))
+    return float(density(likelihood, group, reference, age, attackers, b, a)[c.bin])
 
 
 def twin(

@@ -59,7 +59,8 @@ def test_a_view_is_contaminated_by_who_attacks_in_its_own_frame(n: int, seed: in
         for attackers, b, a, mass in hypotheses(posterior)
         if (a if now else b) and (group & attackers or not attackers)
     )
-    assert posterior.uncontaminated_probability(members, now=now) == pytest.approx(1 - contaminated)
+    found = posterior.uncontaminated_probability(np.stack([~members, members]), now=now)
+    assert found[1] == pytest.approx(1 - contaminated)
 
 
 @given(st.integers(3, 5), st.integers(0, 10**6))

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import gc
+import os
+import subprocess
 import sys
 import time
 from collections.abc import Iterator
@@ -16,6 +18,7 @@ import agents
 import defenders
 from cp_env.world.scene_cache import SceneBank
 from cp_env.world.situation import Outcome
+from cp_env.world.verification import DefenderError
 from cp_env.world.world import World
 from defenders.sealed import SealedDefender, SealedError, seal
 from defenders.simulation.world import SimulatedWorld
@@ -23,8 +26,9 @@ from tests.helpers.banks import bank, detector
 
 __all__ = ["bank", "detector"]
 
+ROOT = Path(__file__).parents[3]
 PLUG_INS = """
-import os, sys
+import os, sys, time
 from defenders import Defender, Query, Verdict
 
 SEEN = []
@@ -85,6 +89,31 @@ class Digs(Base):
         return Verdict(range(self.n))
 
 
+class Sleeps(Base):
+    def inspect(self, frame):
+        yield Query([{0}])
+        time.sleep(600)
+
+
+class SleepsInReset(Base):
+    def reset(self, n_vehicles, rng):
+        time.sleep(600)
+
+
+class Spins(Base):
+    def inspect(self, frame):
+        yield from ()
+        while True:
+            pass
+
+
+class AsksForEver(Base):
+    def inspect(self, frame):
+        (other,) = yield Query([{0}])
+        while True:
+            frame.similarity(frame.seen, other)
+
+
 class Remembers(Base):
     def inspect(self, frame):
         SEEN.append(frame.index)
@@ -143,6 +172,24 @@ def test_a_hostile_defender_ends_its_own_episode(plug_ins: None, bank: SceneBank
     assert any(message in (error or "") for error in outcome.errors), outcome.errors
 
 
+@pytest.mark.parametrize("name", ["Sleeps", "Spins", "AsksForEver"])
+def test_one_that_never_answers_ends_its_own_episode(plug_ins: None, bank: SceneBank, name: str) -> None:
+    """It fails after its patience, and says so; the world that shares its process fails with it, and play goes on."""
+    sealed = seal(f"sealed_plug_ins:{name}", patience=2.0)
+    begin = time.monotonic()
+    (outcome,) = play(sealed, bank, frames=1)
+    assert time.monotonic() - begin < 30
+    assert outcome.truncated.all()
+    assert all(error is not None and "it has 2 s for an answer" in error for error in outcome.errors)
+    assert any("no answer in time" in (error or "") for error in outcome.errors)
+    assert sealed._process._pipe.child.poll() is not None
+
+
+def test_one_that_never_answers_a_reset_is_named(plug_ins: None, bank: SceneBank) -> None:
+    with pytest.raises(DefenderError, match=r"failed in reset: it gave no answer in time.*2 s for an answer"):
+        play(seal("sealed_plug_ins:SleepsInReset", patience=2.0), bank)
+
+
 def test_a_sealed_defender_finds_neither_views_nor_the_world(plug_ins: None, bank: SceneBank) -> None:
     assert play(seal("sealed_plug_ins:Digs"), bank)[-1].errors == (None, None)
 
@@ -163,7 +210,7 @@ def test_what_cannot_be_made_is_told_as_in_this_process() -> None:
 
 def test_its_process_ends_with_it() -> None:
     sealed = seal("prbi")
-    child = sealed._process._child
+    child = sealed._process._pipe.child
     assert child.poll() is None
     del sealed
     gc.collect()
@@ -171,6 +218,34 @@ def test_its_process_ends_with_it() -> None:
     while child.poll() is None and time.monotonic() < deadline:
         time.sleep(0.05)
     assert child.poll() is not None
+
+
+PARENT = """
+import sys
+import numpy as np
+from defenders.sealed import seal
+from defenders.simulation.world import SimulatedWorld
+
+sealed = seal("sealed_plug_ins:Spins")
+print(sealed._process._pipe.child.pid, flush=True)
+sealed.reset(5, np.random.default_rng(0))
+SimulatedWorld(5, frozenset({2})).judge(sealed)
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").is_file(), reason="looks for the process in /proc")
+def test_a_sealed_process_at_work_for_ever_ends_with_its_killed_parent(plug_ins: None, tmp_path: Path) -> None:
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(tmp_path)])}
+    parent = subprocess.Popen([sys.executable, "-c", PARENT], env=environment, stdout=subprocess.PIPE, text=True)
+    assert parent.stdout is not None
+    child = int(parent.stdout.readline())
+    time.sleep(1)  # now it spins
+    parent.kill()
+    parent.communicate()
+    deadline = time.monotonic() + 20
+    while Path(f"/proc/{child}").exists() and "State:\tZ" not in Path(f"/proc/{child}/status").read_text():
+        assert time.monotonic() < deadline, "it outlives its parent"
+        time.sleep(0.05)
 
 
 def test_views_that_are_no_longer_held_are_let_go() -> None:

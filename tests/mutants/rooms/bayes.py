@@ -12,6 +12,9 @@ HISTOGRAMS = (f"{TESTS}test_histograms.py",)
 ACQUISITION = (f"{TESTS}test_acquisition.py",)
 PARTICLES = (f"{TESTS}test_particles.py",)
 DEFENDER = (f"{TESTS}test_defender.py",)
+INFORMATION = (f"{TESTS}test_information.py",)
+SMALL_FLEET = (f"{TESTS}test_small_fleet.py",)
+FLEET = (f"{TESTS}test_fleet.py",)
 ACQUISITION_EDGES = (f"{TESTS}test_acquisition_edges.py",)
 HISTOGRAMS_EDGES = (f"{TESTS}test_histograms_edges.py",)
 LIKELIHOOD_EDGES = (f"{TESTS}test_likelihood_edges.py",)
@@ -87,8 +90,8 @@ MUTANTS = (
     Mutant(
         "the-mode-of-the-wrong-view",
         f"{FOLDER}likelihood.py",
-        "self._one_contaminated[reference_mode, reference, reference_attackers, one]",
-        "self._one_contaminated[mode, reference, reference_attackers, one]",
+        "rows[:, :, 1:, 1:-1] = self._one_contaminated[1:, reference, 1 : reference + 1, one]",
+        "rows[1:, :, :, 1:-1] = self._one_contaminated[1:, reference, None, None, 1 : reference + 1, one]",
         LIKELIHOOD,
     ),
     Mutant(
@@ -102,8 +105,8 @@ MUTANTS = (
     Mutant(
         "outliers-mixed-the-wrong-way",
         f"{FOLDER}likelihood.py",
-        "(1 - OUTLIER_MIX) * rows[first] + OUTLIER_MIX * np.mean(",
-        "OUTLIER_MIX * rows[first] + (1 - OUTLIER_MIX) * np.mean(",
+        "(1 - OUTLIER_MIX) * rows[0] + OUTLIER_MIX * np.mean(",
+        "OUTLIER_MIX * rows[0] + (1 - OUTLIER_MIX) * np.mean(",
         LIKELIHOOD,
     ),
     Mutant(
@@ -136,10 +139,10 @@ MUTANTS = (
     ),
     Mutant(
         "information-before-the-noise",
-        f"{FOLDER}acquisition.py",
+        f"{FOLDER}information.py",
         "return entropy(found.sum(1)) - rest @ hypotheses.weight",
         "return entropy(found.sum(1))",
-        ACQUISITION,
+        INFORMATION,
     ),
     Mutant(
         "seen-groups-are-chosen-again",
@@ -150,10 +153,10 @@ MUTANTS = (
     ),
     Mutant(
         "a-sample-that-weighs-its-counts",
-        f"{FOLDER}acquisition.py",
-        "weight = times / size",
-        "weight = times * 1.0",
-        ACQUISITION,
+        f"{FOLDER}information.py",
+        "mass = (times / size)",
+        "mass = (times * 1.0)",
+        INFORMATION,
     ),
     Mutant(
         "utility-of-pauses-alone",
@@ -196,6 +199,27 @@ MUTANTS = (
         "self.posterior.attack_probs().sum() < ALARM_PROB",
         "self.posterior.attack_probs().sum() < 0",
         DEFENDER,
+    ),
+    Mutant(
+        "kinds-of-smaller-groups",
+        f"{FOLDER}small_fleet.py",
+        "self.table.density[self.row[group.sum() - 1], found]",
+        "self.table.density[self.row[group.sum() - 2], found]",
+        SMALL_FLEET,
+    ),
+    Mutant(
+        "the-full-view-without-its-noise",
+        f"{FOLDER}small_fleet.py",
+        "rest = rest + self.full_view.table.entropy[self.other]",
+        "rest = rest * 1.0",
+        SMALL_FLEET,
+    ),
+    Mutant(
+        "the-fleet-of-other-densities",
+        f"{FOLDER}histograms.py",
+        "isinstance(other, Calibrated) and self._digest == other._digest",
+        "isinstance(other, Calibrated) and self.most == other.most",
+        FLEET,
     ),
     Mutant("references-that-do-not-age", f"{FOLDER}defender.py", "self.age += 1", "self.age = 1", DEFENDER_EDGES),
 )

@@ -1,4 +1,4 @@
-"""Mistakes in average precision, identification, intervals and ground truth."""
+"""Mistakes in average precision, identification and ground truth."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from tests.mutants.mutant import Mutant
 
 AP = "cp_env/metrics/average_precision.py"
 IDENTIFICATION = "cp_env/metrics/identification.py"
-INTERVALS = "cp_env/metrics/intervals.py"
 TRUTH = "cp_env/metrics/ground_truth.py"
 FOLDER = "tests/cp_env/metrics/"
 AP_TESTS = (
@@ -14,7 +13,6 @@ AP_TESTS = (
     f"{FOLDER}test_ap_protocols.py",
 )
 IDENTIFICATION_TESTS = (f"{FOLDER}test_identification.py",)
-INTERVAL_TESTS = (f"{FOLDER}test_intervals.py",)
 TRUTH_TESTS = (f"{FOLDER}test_ground_truth.py",)
 
 MUTANTS = (
@@ -86,23 +84,6 @@ MUTANTS = (
         "return 1.0 if ap >= clean else 0.0",
         "return 1.0",
         IDENTIFICATION_TESTS,
-    ),
-    Mutant("the-spread-of-a-population", INTERVALS, "array.std(ddof=1)", "array.std()", INTERVAL_TESTS),
-    Mutant(
-        "a-one-sided-interval",
-        INTERVALS,
-        "0.5 + _checked(confidence) / 2",
-        "_checked(confidence)",
-        INTERVAL_TESTS,
-    ),
-    Mutant("one-degree-of-freedom-too-many", INTERVALS, "stdtrit(max(n - 1, 1),", "stdtrit(n,", INTERVAL_TESTS),
-    Mutant("scenes-drawn-once-each", INTERVALS, "rng.integers(n, size=n)", "rng.permutation(n)", INTERVAL_TESTS),
-    Mutant(
-        "both-tails-on-each-side",
-        INTERVALS,
-        "(1 - _checked(confidence)) / 2",
-        "1 - _checked(confidence)",
-        INTERVAL_TESTS,
     ),
     Mutant("the-ego-is-its-own-truth", TRUTH, "    inside[ego] = False\n", "", TRUTH_TESTS),
     Mutant("length-and-width-exchanged", TRUTH, "scene.size[rows, :2]", "scene.size[rows, 1::-1]", TRUTH_TESTS),

@@ -114,11 +114,11 @@ MUTANTS = (
         HANDED,
     ),
     Mutant(
-        "situations-share-the-clean-output",
-        "cp_env/world/situation.py",
-        "Dense(self.clean.logits.clone(), self.clean.boxes.clone())",
-        "self.clean",
-        HANDED_EDGES,
+        "situations-share-the-maps",
+        "cp_env/world/world.py",
+        'receive = cache(partial(stack_maps, self.places, "received"))',
+        "receive = own.receive",
+        SITUATION,
     ),
     Mutant(
         "outcomes-that-can-be-written",
@@ -185,10 +185,24 @@ MUTANTS = (
         SITUATION,
     ),
     Mutant(
+        "a-simulation-that-leaves-its-perturbation",
+        "cp_env/world/world.py",
+        "with unperturbed_after(situation):",
+        "if situation is not None:",
+        SITUATION,
+    ),
+    Mutant(
+        "a-failed-step-that-leaves-its-perturbation",
+        "cp_env/world/world.py",
+        "self._situation = None  # the perturbations",
+        "pass  # the perturbations",
+        SITUATION,
+    ),
+    Mutant(
         "a-simulation-of-the-real-defenders",
         "cp_env/world/world.py",
-        "self._play(delta, [s.with_rng(own) for s, own in zip(self._worlds, rngs, strict=True)])",
-        "self._play(delta, self.defenders)",
+        "[s.with_rng(r) for s, r in zip(self._worlds, rngs, strict=True)]",
+        "self.defenders",
         SITUATION,
     ),
     Mutant(

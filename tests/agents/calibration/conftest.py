@@ -1,0 +1,22 @@
+"""The shipped detector on toy crossings of three vehicles, and the smallest plan that measures all parts."""
+
+from __future__ import annotations
+
+import pytest
+
+from agents.calibration import Plan
+from agents.calibration.comparisons import Episodes
+from cp_env.detector import load_detector
+from cp_env.world.scene_cache import SceneBank
+from tests.helpers.toy_scenes import ToySource
+
+
+@pytest.fixture(scope="package")
+def toy_bank() -> SceneBank:
+    return SceneBank(ToySource(n_frames=5, n_connected=3), load_detector(), progress=False)
+
+
+@pytest.fixture(scope="package")
+def small() -> Plan:
+    episodes = Episodes(n_vehicles=3, frames=4, ages=2, loud="pgd:steps=2", stealthy=("ramp:steps=1",))
+    return Plan(names=("toy-0",), attack="pgd:steps=2", previous_frames=3, ego_frames=2, episodes=episodes)
