@@ -71,6 +71,8 @@ ATTACKS: Registry[Attack] = Registry(
         "framing": "agents.attacks.adaptive.framing:Framing",
         "blind": "agents.attacks.adaptive.blind_area:blind",
         "sacrifice": "agents.attacks.adaptive.sacrifice:sacrifice",
+        "nearest_removal": "agents.attacks.leader:nearest_removal",
+        "phantom_ahead": "agents.attacks.leader:phantom_ahead",
     },
     Attack,
     methods=(("reset", "act"),),

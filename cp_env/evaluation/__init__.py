@@ -12,6 +12,7 @@ An attack comes from outside: this package knows its interface (`reset`, `act`),
 from __future__ import annotations
 
 from cp_env.attack import Attack, Learned
+from cp_env.evaluation.analysis.strata import strata
 from cp_env.evaluation.analysis.summary import Row, mean_ap, summarise
 from cp_env.evaluation.execution.rollout import Rollout, play
 from cp_env.evaluation.execution.runner import FailedRuns, execute, execute_all, prepare
@@ -41,6 +42,7 @@ __all__ = [
     "play",
     "prepare",
     "screen",
+    "strata",
     "summarise",
     "write_report",
 ]

@@ -97,7 +97,7 @@ class ApMeter:
             return
         overlap = overlap[order]
         self._scores.append(scores[order])
-        self._hits.append(np.stack([_take(overlap, iou, self.rules.second_choice) for iou in self.thresholds]))
+        self._hits.append(np.stack([assign(overlap, iou, self.rules.second_choice) >= 0 for iou in self.thresholds]))
         self.n_truth += overlap.shape[1]
         self.n_frames += 1
 
@@ -164,17 +164,20 @@ def resampled_ap(meters: Sequence[ApMeter], iou: float) -> Callable[[Int[np.ndar
     return statistic
 
 
-def _take(overlap: Float[np.ndarray, "L M"], iou: float, second_choice: bool) -> Bool[np.ndarray, " L"]:
-    """Which detections (rows, best score first) get a truth (columns): each the one it overlaps most, of those that are
-    free or, without `second_choice`, of all: then it gets none if that one is taken."""
-    hits = np.zeros(len(overlap), dtype=bool)
+def assign(overlap: Float[np.ndarray, "L M"], iou: float, second_choice: bool = True) -> Int[np.ndarray, " L"]:
+    """The truth (column) that each detection (rows, best score first) gets, -1 if none.
+
+    Each gets the one it overlaps most, of those that are free or, without `second_choice`, of all: then it gets none if
+    that one is taken.
+    """
+    taken = np.full(len(overlap), -1)
     free = overlap.copy()
     for row in np.flatnonzero((overlap >= iou).any(axis=1)):
         best = int((free if second_choice else overlap)[row].argmax())
         if free[row, best] >= iou:
-            hits[row] = True
+            taken[row] = best
             free[:, best] = -1.0
-    return hits
+    return taken
 
 
 def _area(right: Int[np.ndarray, " D"], found: Int[np.ndarray, " D"], n_truth: int) -> float:

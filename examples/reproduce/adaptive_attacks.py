@@ -23,7 +23,7 @@ from agents.protocol import Attack
 from cp_env import evaluation
 from cp_env.evaluation import Conditions, Record, Run
 from cp_env.metrics.identification import id_rate, mc_rate
-from cp_env.metrics.intervals import t_interval
+from cp_env.metrics.shares import share_interval
 from cp_env.scenes import open_source
 from defenders.registry import Spec
 
@@ -81,7 +81,7 @@ class Line:
 
     def row(self) -> str:
         """A row of the table."""
-        episodes = t_interval([float(np.mean(r.damage)) for r in self.records])
+        episodes = share_interval([float(np.mean(r.damage)) for r in self.records])
         similarity = np.mean([np.mean(r.similarity[1:]) for r in self.records])
         verifications = np.mean([np.mean(r.verifications[r.grace_frames :]) for r in self.records])
         id_rates = np.mean([id_rate(r.suspects, r.attackers) for r in self.records])

@@ -16,9 +16,7 @@ which an attacker is fused. Verifications: per frame, in the first abnormal fram
 
 from __future__ import annotations
 
-import json
 import sys
-import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -30,12 +28,14 @@ from rich.table import Table
 
 sys.path.insert(0, str(Path(__file__).parents[2]))  # the calibration is another example
 
+from agents.calibration.comparisons import Measurement, all_groups
+from agents.calibration.densities import by_kind, densities, part_of
 from cp_env.metrics.intervals import t_interval
 from defenders import Bayes, Defender, Prbi, Verdict
-from defenders.bayes.histograms import read_likelihood
+from defenders.bayes.histograms import likelihood_of
 from defenders.bayes.likelihood import Likelihood
 from examples.calibrate_likelihood import Args as Calibration
-from examples.calibrate_likelihood import Measurement, by_kind, densities, groups, stored, survey
+from examples.calibrate_likelihood import measured as measure
 
 Seen = tuple[int, int]  # frame, number of the group
 
@@ -83,7 +83,7 @@ class Replay:
 
 def play(defender: Defender, measured: Measurement, n: int, seed: int) -> Replay:
     """Replay a measurement to a defender, frame by frame, and count its verifications."""
-    number = {group: i for i, group in enumerate(groups(n))}
+    number = {group: i for i, group in enumerate(all_groups(n))}
     played = Replay(measured.attackers, [], [])
     defender.reset(n, np.random.default_rng(seed))
     for t in range(len(measured.similarity)):
@@ -125,15 +125,13 @@ def row(name: str, k: int, episodes: Sequence[Replay]) -> list[str]:
 
 def likelihood_without(measurements: Sequence[Measurement], scene: str, calibration: Calibration) -> Likelihood:
     """The densities of all scenes but one."""
-    values = by_kind((one for one in measurements if one.scene != scene), calibration)
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "likelihood.json"
-        path.write_text(json.dumps(stored(densities(values, calibration), calibration)))
-        return read_likelihood(path)
+    episodes, smoothing = calibration.episodes, calibration.smoothing
+    values = by_kind((one for one in measurements if one.scene != scene), episodes)
+    return likelihood_of(part_of(densities(values, episodes.n_vehicles, smoothing), episodes, smoothing.tail))
 
 
 def main(args: Args) -> None:
-    measurements = list(survey(args.calibration))
+    measurements, episodes = measure(args.calibration), args.calibration.episodes
     scenes = {one.scene for one in measurements}
     known = {scene: likelihood_without(measurements, scene, args.calibration) for scene in scenes}
     players: dict[str, Callable[[Measurement], Defender]] = {
@@ -153,12 +151,11 @@ def main(args: Args) -> None:
         "first abnormal frame",
         "max. verifications",
     )
-    table = Table(*columns, title=f"{len(known)} scenes, {args.calibration.frames - 1} frames of PGD each")
-    n = args.calibration.n_vehicles
+    table = Table(*columns, title=f"{len(known)} scenes, {episodes.frames - 1} frames of PGD each")
+    n = episodes.n_vehicles
     for k in range(n):
         for name, make in players.items():
-            stealthy = args.calibration.stealthy
-            mine = [one for one in measurements if len(one.attackers) == k and one.attack not in stealthy]
+            mine = [one for one in measurements if len(one.attackers) == k and one.attack not in episodes.stealthy]
             table.add_row(*row(name, k, [play(make(one), one, n, args.seed) for one in mine]))
         table.add_section()
     Console(width=120).print(table)

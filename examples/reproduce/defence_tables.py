@@ -8,7 +8,7 @@ Upper bound: everyone fused and benign; lower bound: the ego alone. The attacks 
 steps of 0.1, PGD from a random start, BIM and C&W from zero, both attackers jointly. The attackers are drawn anew for
 every scene, the ego among those who may be drawn, as in the paper's threat model; the first frame is benign. AP counts
 every vehicle in range, seen or hidden, in all frames, also in those before a defender has converged; 95 % intervals are
-over scenes, bootstrapped for AP, Student's t elsewhere. ROBOSAC is given k and draws teams of n - k until one passes,
+over scenes, Gaffke's for AP, Student's t for frames. ROBOSAC is given k and draws teams of n - k until one passes,
 which is the reading that gives the paper's Table 2. PASAC has thresholds calibrated for each fusion: its published one
 was made for segmentation and lets nearly every perturbation pass. PRBI is as published, and with calibrated thresholds.
 
@@ -41,6 +41,7 @@ from cp_env import evaluation
 from cp_env.metrics.intervals import Interval
 from cp_env.scenes import open_source
 from cp_env.settings import Fusion
+from cp_env.types import Precision
 from examples.reproduce.paper_tables import TABLES, Line, PaperTable
 
 N_ATTACKERS = 2
@@ -66,6 +67,7 @@ class Args:
     n_scenes: int = 6  # spread evenly over the source's list, so over its three kinds
     frames: int = 20  # of each, from one drawn by the seed
     fusions: tuple[Fusion, ...] | None = None  # by default the table's
+    precision: Precision = "float32"  # of the detector's maps, fusion and decoder
     seed: int = 0
     workers: int = 1  # processes
     threads: int = 1  # torch threads of each
@@ -86,7 +88,9 @@ def measure(args: Args, table: PaperTable) -> Found:
     found: Found = {}
     with Progress(console=Console(stderr=True)) as progress:
         for fusion in args.fusions or table.fusions:
-            conditions = evaluation.Conditions(args.scenes, chosen, args.frames, fusion=fusion)
+            conditions = evaluation.Conditions(
+                args.scenes, chosen, args.frames, fusion=fusion, precision=args.precision
+            )
             runs = plan(conditions, table, args)
             store = evaluation.Store(args.out, evaluation.open_bank(conditions).detector.digest)
             bar = progress.add_task(fusion, total=len(chosen) + len(runs))

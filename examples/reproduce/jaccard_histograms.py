@@ -31,7 +31,7 @@ from rich.table import Table
 
 import agents
 from cp_env.detector import load_detector
-from cp_env.metrics.intervals import t_interval
+from cp_env.metrics.shares import share_interval
 from cp_env.metrics.similarity import view_similarity_many
 from cp_env.scenes import open_source
 from cp_env.settings import Fusion
@@ -106,7 +106,7 @@ def play(bank: SceneBank, fusion: Fusion, condition: str, name: str, args: Args)
     )
     world.reset([np.random.SeedSequence(seed)], options={"scene": name, "start": 0})
     attack_instance = agents.make(attack)
-    attack_instance.reset(1, np.random.default_rng(seed))
+    attack_instance.reset(1, np.random.default_rng(seed).spawn(1))
     outcomes = [world.step(attack_instance.act(world.situation())) for _ in range(args.frames)]
     output = [outcome.output[0] for outcome in outcomes]
     benign = output if ego_only else [outcome.clean[0] for outcome in outcomes]
@@ -122,8 +122,8 @@ def table(found: Found, args: Args) -> Table:
     for fusion, condition in itertools.product(args.fusions, CONDITIONS):
         scenes = {kind: found[fusion, condition, kind] for kind in KINDS}
         pooled = [scene for kind in KINDS for scene in scenes[kind]]
-        cells = [t_interval([np.mean(scene["to_output"]) for scene in part]) for part in (*scenes.values(), pooled)]
-        cells.append(t_interval([np.mean(scene["to_benign"]) for scene in pooled]))
+        cells = [share_interval([np.mean(scene["to_output"]) for scene in part]) for part in (*scenes.values(), pooled)]
+        cells.append(share_interval([np.mean(scene["to_benign"]) for scene in pooled]))
         made.add_row(fusion, condition, *(f"{cell:.2f}" for cell in cells))
     return made
 

@@ -36,6 +36,7 @@ from cp_env import evaluation
 from cp_env.evaluation import Record
 from cp_env.metrics.identification import id_rate, mc_rate
 from cp_env.metrics.intervals import Interval, bootstrap_interval, t_interval
+from cp_env.metrics.shares import share_interval
 from cp_env.scenes import open_source
 from defenders import Prbi
 from defenders.simulation.statistics import play_many
@@ -123,8 +124,10 @@ def summarise(k: int, alpha: float, window: int, runs: list[Run]) -> Row:
         high=t_interval([max(run.counts) for run in runs]),
         mean=bootstrap_interval(lambda i: float(sums[i].sum() / lengths[i].sum()), len(runs), seed=0),
         frames=t_interval(lengths),
-        identified=t_interval([100 * run.identified for run in done]) if done else None,
-        false_accusation_rate=t_interval([100 * run.false_accusation_rate for run in done]) if done else None,
+        identified=share_interval([100 * run.identified for run in done], whole=100) if done else None,
+        false_accusation_rate=share_interval([100 * run.false_accusation_rate for run in done], whole=100)
+        if done
+        else None,
         unsettled=100 * (1 - len(done) / len(runs)),
     )
 

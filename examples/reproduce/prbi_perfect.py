@@ -24,6 +24,7 @@ from rich.progress import track
 from rich.table import Table
 
 from cp_env.metrics.intervals import Interval, bootstrap_interval, t_interval
+from cp_env.metrics.shares import share_interval
 from defenders import Prbi, Reading
 from defenders.prbi.interpretation import SPLITS
 from defenders.simulation.world import Episode, play
@@ -78,8 +79,8 @@ def measure(args: Args, k: int, reading: Reading) -> Figures:
         first=t_interval([episode.verifications[0] for episode in played]),
         mean=bootstrap_interval(lambda i: float(counts[i].sum() / frames[i].sum()), len(done), seed=args.seed),
         frames=t_interval(frames),
-        identified=t_interval([100 * share(episode, attackers=True) for episode in done]),
-        false_accusation_rate=t_interval([100 * share(episode, attackers=False) for episode in done]),
+        identified=share_interval([100 * share(episode, attackers=True) for episode in done], whole=100),
+        false_accusation_rate=share_interval([100 * share(episode, attackers=False) for episode in done], whole=100),
         unsettled=1 - len(done) / len(played),
     )
 

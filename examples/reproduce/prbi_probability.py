@@ -30,6 +30,7 @@ import agents
 from cp_env.detector import load_detector
 from cp_env.evaluation.plan.files import write_atomically
 from cp_env.metrics.intervals import t_interval
+from cp_env.metrics.shares import share_interval
 from cp_env.scenes import open_source
 from cp_env.world.scene_cache import SceneBank
 from cp_env.world.world import World
@@ -122,9 +123,9 @@ def show(runs: list[Run], where: str) -> Table:
         exact = [((np.array(run.belief) == 1) == np.isin(range(N), run.attackers)).all(axis=1) for run in mine]
         after = [int(np.flatnonzero(~row).max(initial=-1)) + 2 for row in exact if row[-1]]
         benign = [100 * np.delete(run.belief, run.attackers, axis=1) for run in mine]
-        early = t_interval([100 * (belief[4] == 100).mean() for belief in benign])
+        early = share_interval([100 * (belief[4] == 100).mean() for belief in benign], whole=100)
         shown = f"{t_interval(after):.1f}" if after else "–"
-        last = t_interval([belief[-1].mean() for belief in benign])
+        last = share_interval([belief[-1].mean() for belief in benign], whole=100)
         share = f"{100 * len(after) / len(mine):.0f}"
         table.add_row(str(k), str(len(mine)), shown, share, f"{early:.0f}", f"{last:.0f}")
     return table

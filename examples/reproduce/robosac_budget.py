@@ -19,7 +19,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from cp_env.metrics.intervals import t_interval
+from cp_env.metrics.shares import share_interval
 from defenders import Robosac
 from defenders.robosac import team_size
 from defenders.simulation.statistics import play_many
@@ -46,7 +46,7 @@ def row(reading: str, k: int, budget: int, args: Args) -> list[str]:
     found = (stats.fused != 1).mean(axis=1)  # a team besides vehicle 0
     clean = math.comb(args.n - k, defender.size) / math.comb(args.n, defender.size)
     exact = 1 - (1 - clean) ** defender.tries
-    cells = f"{t_interval(found):.3f}", f"{exact:.3f}", f"{stats.verifications.mean():.2f}"
+    cells = f"{share_interval(found):.3f}", f"{exact:.3f}", f"{stats.verifications.mean():.2f}"
     affordable = team_size(k / args.n, defender.tries, defender.confidence)
     return [str(k), str(defender.tries), f"{affordable:.0f}", str(defender.size), *cells]
 

@@ -1,23 +1,19 @@
 """Similarity of a group's view to the frame before, by the size of the group and the number of attackers in it.
 
-    python examples/reproduce/similarity_table.py                                       # measure, print, draw
-    python examples/reproduce/similarity_table.py --frames 6 --write FILE               # and calibrate PRBI's ε
-    python examples/reproduce/similarity_table.py --frames 4 --write FILE --fusion max  # and so on
+    python examples/reproduce/similarity_table.py                           # measure, print, draw
+    python examples/reproduce/similarity_table.py --frames 4 --fusion max
 
 PRBI (Sec. 11.1) judges every group by one threshold, 0.35. Here the similarity, Eq. (5), of every group of five
 vehicles to the benign view of the frame before is measured on the calibration scenes. PGD attacks jointly in k = 0 … 4
 vehicles (Δ 0.3, 15 steps of 0.1). The threshold of a size is the one that errs least: it minimises the mean of the
 share of benign groups that fail and the share of groups with an attacker that pass. The latter is averaged over the
-numbers of attackers, so that each number has the same weight. FILE is defenders/thresholds/thresholds.json.
+numbers of attackers, so that each number has the same weight. `cp-calibrate` measures the same and writes the
+thresholds where defenders find them; see `agents.calibration.previous_frame`.
 """
 
 from __future__ import annotations
 
-import itertools
 import json
-import shlex
-import sys
-from collections import defaultdict
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -26,91 +22,30 @@ import numpy as np
 import torch
 import tyro
 from rich.console import Console
-from rich.progress import track
 from rich.table import Table
 
-import agents
-from cp_env.detector import load_detector
-from cp_env.metrics.intervals import Interval, t_interval
+from agents.calibration.previous_frame import survey, thresholds
+from agents.calibration.samples import Samples, pooled
+from agents.commands.common import Victim
+from cp_env.metrics.intervals import Interval
+from cp_env.metrics.shares import share_interval
+from cp_env.progress import track
 from cp_env.scenes import open_source
 from cp_env.world.scene_cache import SceneBank
-from cp_env.world.world import World
-from defenders.protocol import Defender, Frame, Informed, Inspection, Query, Verdict
-from defenders.thresholds.tables import write_thresholds
-
-Key = tuple[int, int]  # group size, attackers in it
 
 
-@dataclass
-class Args:
+@dataclass(frozen=True)
+class Args(Victim):
     scenes: str = "town/calibration"
-    fusion: str = "mean"  # or max, sum, v2vnet, disconet
     n_vehicles: int = 5
     frames: int = 11  # of every scene; the first is the reference of the second
     attack: str = "pgd"
     seed: int = 0
     threads: int = 1
     out: Path = Path("out/similarity")
-    write: Path | None = None  # thresholds go here, as the fusion's entry
 
 
-class Surveyor(Defender, Informed):
-    """An instrument, no defence: compares every group with the view of the benign vehicles in the frame before."""
-
-    def reveal_attackers(self, attackers: frozenset[int]) -> None:
-        self.attackers = frozenset(attackers)
-
-    def reset(self, n_vehicles: int, rng: np.random.Generator) -> None:
-        self.benign = frozenset(range(n_vehicles)) - self.attackers
-        numbers = range(n_vehicles)
-        self.groups = [frozenset(g) for size in range(1, n_vehicles + 1) for g in itertools.combinations(numbers, size)]
-        self.reference = None
-        self.measured: list[tuple[Key, float]] = []
-
-    def inspect(self, frame: Frame) -> Inspection:
-        views = yield Query(self.groups, verification=False)
-        if self.reference is not None:
-            for group, view in zip(self.groups, views, strict=True):
-                key = len(group), len(group & self.attackers)
-                self.measured.append((key, frame.similarity(view, self.reference)))
-        self.reference = views[self.groups.index(self.benign)]
-        return Verdict(self.benign, self.attackers)
-
-
-def survey(args: Args) -> dict[Key, dict[str, list[float]]]:
-    """Similarities by (size, attackers) and scene."""
-    bank = SceneBank(open_source(args.scenes), load_detector(args.fusion))
-    found: dict[Key, dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))
-    jobs = list(itertools.product(bank.source.names(), range(args.n_vehicles)))
-    for number, (name, k) in enumerate(track(jobs, f"surveying {args.fusion}")):
-        world = World(1, defender=Surveyor(), bank=bank, n_vehicles=args.n_vehicles, n_attackers=k, grace_frames=0)
-        world.reset([np.random.SeedSequence([args.seed, number])], options={"scene": name})
-        attack = agents.make(args.attack if k else "none")
-        attack.reset(1, np.random.default_rng([args.seed, number]))
-        for _ in range(args.frames):
-            world.step(attack.act(world.situation()))
-        (surveyor,) = world.defenders
-        assert isinstance(surveyor, Surveyor)
-        for key, value in surveyor.measured:
-            found[key][name].append(value)
-    return found
-
-
-def pooled(found: dict[Key, dict[str, list[float]]], key: Key) -> np.ndarray:
-    return np.concatenate(list(found[key].values()))
-
-
-def threshold(found: dict[Key, dict[str, list[float]]], size: int) -> float:
-    """The threshold that best separates benign groups of this size from groups with attackers."""
-    benign = pooled(found, (size, 0))
-    contaminated = [pooled(found, key) for key in sorted(found) if key[0] == size and key[1] > 0]
-    grid = np.arange(0.02, 0.99, 0.01)
-    errors = [(benign < e).mean() + np.mean([(group >= e).mean() for group in contaminated]) for e in grid]
-    best = np.flatnonzero(np.isclose(errors, np.min(errors)))
-    return round(float(grid[best].mean()), 2)  # the middle of the plateau
-
-
-def report(found: dict[Key, dict[str, list[float]]], epsilon: dict[int, float], args: Args) -> None:
+def report(found: Samples, epsilon: dict[int, float], args: Args) -> None:
     sizes = range(1, args.n_vehicles + 1)
     table = Table(
         "group size",
@@ -129,7 +64,7 @@ def report(found: dict[Key, dict[str, list[float]]], epsilon: dict[int, float], 
                 cells.append("–")
                 passing.append("–")
                 continue
-            mean: Interval = t_interval([np.mean(values) for values in found[size, attackers].values()])
+            mean: Interval = share_interval([np.mean(values) for values in found[size, attackers].values()])
             values = pooled(found, (size, attackers))
             cells.append(f"{mean:.2f}")
             passing.append(f"{(values >= 0.35).mean():.2f} / {(values >= epsilon[size]).mean():.2f}")
@@ -144,7 +79,7 @@ def report(found: dict[Key, dict[str, list[float]]], epsilon: dict[int, float], 
     console.print("drawn:", draw(found, epsilon, args))
 
 
-def draw(found: dict[Key, dict[str, list[float]]], epsilon: dict[int, float], args: Args) -> Path:
+def draw(found: Samples, epsilon: dict[int, float], args: Args) -> Path:
     figure, axes = plt.subplots(
         1, args.n_vehicles, figsize=(3.2 * args.n_vehicles, 3.4), sharey=True, layout="constrained"
     )
@@ -174,14 +109,17 @@ def draw(found: dict[Key, dict[str, list[float]]], epsilon: dict[int, float], ar
 
 def main(args: Args) -> None:
     torch.set_num_threads(args.threads)
-    found = survey(args)
-    epsilon = {size: threshold(found, size) for size in range(1, args.n_vehicles + 1)}
-    report(found, epsilon, args)
-    if args.write:
-        source = (
-            f"{args.scenes}, detector {load_detector(args.fusion).digest}, {args.attack}, {args.frames} frames a scene"
-        )
-        write_thresholds(args.write, args.fusion, epsilon, source=source, command=shlex.join(["python", *sys.argv]))
+    bank = SceneBank(open_source(args.scenes), args.open_detector())
+    found = survey(
+        bank,
+        bank.source.names(),
+        n_vehicles=args.n_vehicles,
+        frames=args.frames,
+        attack=args.attack,
+        seed=args.seed,
+        track=track,
+    )
+    report(found, thresholds(found, args.n_vehicles), args)
 
 
 if __name__ == "__main__":

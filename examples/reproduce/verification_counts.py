@@ -105,7 +105,7 @@ def count_on_detector(row: str, k: int, args: Args) -> np.ndarray:
         )
         world.reset([np.random.SeedSequence([args.seed, number, k])], options={"scene": scene})
         attack = agents.make("pgd")
-        attack.reset(1, rng)
+        attack.reset(1, rng.spawn(1))
         for frame in range(args.frames):
             outcome = world.step(attack.act(world.situation()))
             if frame:

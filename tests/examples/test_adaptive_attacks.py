@@ -61,7 +61,7 @@ def test_the_worst_attack_does_most_damage_in_frames_that_could_be_attacked() ->
     ]
     rows = program.table(lines, ARGS)
     assert rows[-1] == "* prbi: framing, 0.80 a frame; pgd 0.10"
-    assert rows[4].startswith("| prbi | framing | 0.53 [0.53, 0.53] | 0.60 |")
+    assert rows[4].startswith("| prbi | framing | 0.53 [0.08, 0.93] | 0.60 |")
     assert rows[4].endswith("| 0.50 | 0.33 |")
 
 

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
-
 import numpy as np
 import pytest
 
-from examples import calibrate_pasac
+from agents.calibration import ego_view
+from agents.calibration.samples import errors, no_samples
 from examples.reproduce import clean_groups, robosac_budget, verification_counts
 from tests.helpers.toy_scenes import ToySource
 
@@ -50,12 +49,12 @@ def test_what_robosac_promises_and_keeps() -> None:
 
 def test_thresholds_separate_benign_groups_from_others() -> None:
     """Two attackers count as much as one: below 0.5 no benign group fails, above 0.3 half the groups of one pass."""
-    found: calibrate_pasac.Found = defaultdict(lambda: defaultdict(list))
+    found = no_samples()
     found[2, 0]["a"] = [0.5, 0.6, 0.7, 0.8]
     found[2, 1]["a"], found[2, 2]["b"] = [0.1, 0.9], [0.2, 0.3, 0.1, 0.1]
-    assert calibrate_pasac.errors(found, 2, 0.4) == (0.0, 0.25)
-    assert calibrate_pasac.errors(found, 2, 0.65) == (0.5, 0.25)
-    assert 0.3 <= calibrate_pasac.threshold(found, 2) < 0.5
+    assert errors(found, 2, 0.4, strict=True) == (0.0, 0.25)
+    assert errors(found, 2, 0.65, strict=True) == (0.5, 0.25)
+    assert 0.3 <= ego_view.threshold(found, 2) < 0.5
 
 
 def test_counts_over_episodes_that_end() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from cp_env.evaluation.analysis.worst_case import damage_per_frame
+from cp_env.evaluation.analysis.measures import damage_per_frame
 from cp_env.evaluation.plan.grid import Grid, Results
 from cp_env.evaluation.plan.runs import NO_ATTACK, Run
 

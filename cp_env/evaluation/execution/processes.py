@@ -18,6 +18,8 @@ from typing import Any, TypeVar
 
 import torch
 
+from cp_env.world.allocator import keep_freed_memory
+
 T = TypeVar("T")
 Call = tuple[Any, ...]
 _PR_SET_PDEATHSIG = 1  # of Linux's prctl: a signal when the parent's thread ends that started this process
@@ -120,6 +122,7 @@ def _serve(line: Connection, threads: int, by_signal: bool) -> None:
     end_with_parent(by_signal=by_signal)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # an interrupt is the parent's to handle
     torch.set_num_threads(threads)
+    keep_freed_memory()
     try:
         while True:
             task, call = line.recv()

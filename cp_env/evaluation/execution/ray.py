@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 import torch
 
 from cp_env.evaluation.execution.processes import Call, Failure, attempt
+from cp_env.world.allocator import keep_freed_memory
 
 T = TypeVar("T")
 RETRIES = 1
@@ -64,4 +65,5 @@ def on_ray(
 
 def _on_threads(task: Callable[..., T], call: Call, threads: int) -> T | Failure:
     torch.set_num_threads(threads)
+    keep_freed_memory()
     return attempt(task, call)

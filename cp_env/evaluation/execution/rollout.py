@@ -8,10 +8,13 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 import defenders
 from cp_env.attack import Attack, Learned
+from cp_env.detector.coperception.truth import their_truth
 from cp_env.envs.core import Game
+from cp_env.evaluation.execution.driving_recorder import DrivingRecorder
 from cp_env.evaluation.plan.records import IOUS, Record
 from cp_env.evaluation.plan.runs import Conditions, Run
 from cp_env.metrics.average_precision import ApMeter
@@ -19,6 +22,7 @@ from cp_env.world.scene_cache import SceneBank
 from cp_env.world.situation import FRAME_METRICS, Clock, Outcome
 from cp_env.world.streams import keyed_generator
 from cp_env.world.world import World
+from defenders.protocol import Defender
 from defenders.sealed import seal
 
 RECORDED = ("damage", "similarity", "verifications")
@@ -96,20 +100,29 @@ def play(
     rollout = Rollout(run, conditions, bank, attack, clock)
     attackers = rollout.world.attackers.tolist()
     recorders = [
-        EpisodeRecorder(scene, tuple(numbers), conditions.ap, informed)
+        EpisodeRecorder(
+            scene, tuple(numbers), conditions.ap, informed, rollout.world.settings.n_maps, finds_itself(rollout.world)
+        )
         for scene, numbers, informed in zip(run.names, attackers, rollout.world.informed, strict=True)
     ]
     while any(recorder.running for recorder in recorders):
         outcome = rollout.step()
         for e, recorder in enumerate(recorders):
-            recorder.add(outcome, e)
+            recorder.add(outcome, e, rollout.world.defenders[e])
     return [recorder.record(conditions) for recorder in recorders]
+
+
+def finds_itself(world: World) -> bool:
+    """Whether the ego's own box is among its detections, as it is among coperception's."""
+    return bool(getattr(world.detector, "all_boxes", False))
 
 
 class EpisodeRecorder:
     """The record of one world's episode while it runs."""
 
-    def __init__(self, scene: str, attackers: tuple[int, ...], ap: str, informed: bool) -> None:
+    def __init__(
+        self, scene: str, attackers: tuple[int, ...], ap: str, informed: bool, n_maps: int, finds_itself: bool = False
+    ) -> None:
         self.scene, self.attackers, self.running = scene, attackers, True
         self.meter = ApMeter(IOUS, ap)
         self.metrics: dict[str, list[float]] = {name: [] for name in RECORDED}
@@ -117,21 +130,30 @@ class EpisodeRecorder:
         self.converged: int | None = None
         self.error: str | None = None
         self.informed, self.seconds = informed, 0.0
+        self.driving, self._finds_itself = DrivingRecorder(n_maps), finds_itself
 
-    def add(self, outcome: Outcome, e: int) -> None:
+    def add(self, outcome: Outcome, e: int, defender: Defender) -> None:
         """Record one frame, unless the episode is over (the world waits for its neighbours then)."""
         if not self.running:
             return
         verdict = outcome.verdicts[e]
-        self.meter.add(outcome.output[e].detections, outcome.truth[e])
+        self.meter.add(outcome.output[e].detections, self._truth(outcome, e))
         for name, values in self.metrics.items():
             values.append(round(float(FRAME_METRICS[name](outcome)[e]), 6))
         if self.converged is None:
             self.suspects = tuple(sorted(verdict.suspects))
             self.converged = int(outcome.frame[e]) if verdict.converged else None
+        self.driving.add(outcome, e, defender)
         self.error = outcome.errors[e]
         self.seconds += outcome.seconds / len(outcome.judgements)
         self.running = not bool(outcome.truncated[e])
+
+    def _truth(self, outcome: Outcome, e: int) -> Float[np.ndarray, "L 5"]:
+        """The vehicles that the protocol counts: under coperception's the cars that their AP counts."""
+        if self.meter.protocol != "coperception":
+            return outcome.truth[e]
+        scene, frame, extent = outcome.traffic[e]
+        return their_truth(scene, frame, int(scene.connected[0]), extent, own=self._finds_itself)
 
     def record(self, conditions: Conditions) -> Record:
         return Record(
@@ -148,6 +170,8 @@ class EpisodeRecorder:
             error=self.error,
             informed=self.informed,
             seconds=round(self.seconds, 6),
+            driving=self.driving.record(),
+            critical_meter=self.driving.meter,
         )
 
 

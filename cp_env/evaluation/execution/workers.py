@@ -21,7 +21,7 @@ from cp_env.world.situation import Clock
 
 MakeAttack = Callable[..., Attack | Learned]
 T = TypeVar("T")
-_opened: dict[tuple[str, str, str | None, str], SceneBank] = {}
+_opened: dict[tuple[str | None, ...], SceneBank] = {}
 
 
 def open_bank(conditions: Conditions) -> SceneBank:
@@ -31,13 +31,15 @@ def open_bank(conditions: Conditions) -> SceneBank:
         ValueError: weights that cannot be read, or that fuse otherwise than the conditions say.
     """
     source = open_source(conditions.scenes)
-    key = (source.digest, conditions.fusion, conditions.weights, conditions.detector)
+    key = (source.digest, conditions.fusion, conditions.weights, conditions.detector, conditions.precision)
     if key not in _opened:
         _opened.clear()
         if conditions.weights is None:
-            detector: DetectorLike = open_detector(conditions.detector, fusion=conditions.fusion)
+            detector: DetectorLike = open_detector(
+                conditions.detector, fusion=conditions.fusion, precision=conditions.precision
+            )
         else:
-            detector = trained = read_detector(Path(conditions.weights)).freeze()
+            detector = trained = read_detector(Path(conditions.weights)).freeze().with_precision(conditions.precision)
             if trained.fusion != conditions.fusion:
                 raise ValueError(
                     f"{conditions.weights} fuse by {trained.fusion}; choose that fusion, not {conditions.fusion}"

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from cp_env.evaluation.plan.checksum import UNLIKE, UNREADABLE, Broken, Fault, stamp, verify, versions, warn_of
+from cp_env.evaluation.plan.driving_record import DrivingRecord
 from cp_env.evaluation.plan.files import write_atomically
 from cp_env.evaluation.plan.runs import Conditions, Run
 from cp_env.metrics.average_precision import ApMeter
@@ -82,32 +83,35 @@ class Record:
     error: str | None  # why the defender failed, which ended the episode
     seconds: float  # its share of the time the world's steps took: perceiving and defending, not attacking
     informed: bool = False  # whether the world showed the defender the attackers: such a one is never ranked
+    driving: DrivingRecord | None = None
+    critical_meter: ApMeter | None = None  # of the output over critical vehicles, at 0.5
 
     def to_json(self) -> dict[str, Any]:
-        plain = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "meter"}
-        scores = self.meter.matched(IOUS[0])[0].astype(np.float32)
-        hits = {str(iou): _pack(np.packbits(self.meter.matched(iou)[1])) for iou in IOUS}
-        counts = {"n_truth": self.meter.n_truth, "n_frames": self.meter.n_frames, "n_boxes": len(scores)}
-        return {**plain, "boxes": {**counts, "protocol": self.meter.protocol, "scores": _pack(scores), "hits": hits}}
+        plain = {f.name: getattr(self, f.name) for f in fields(self) if f.name in _KINDS}
+        return {
+            **plain,
+            "boxes": _pack_meter(self.meter, IOUS),
+            "driving": self.driving and self.driving.to_json(),
+            "critical_boxes": self.critical_meter and _pack_meter(self.critical_meter, IOUS[:1]),
+        }
 
     @classmethod
     def from_json(cls, data: dict[str, Any]) -> Record:
         """The record that `to_json` gave.
 
         Raises:
-            ValueError, KeyError, TypeError, zlib.error: it is none.
+            ValueError, LookupError, TypeError, AttributeError, OverflowError, zlib.error: it is none.
         """
         plain: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in data.items()}
-        boxes: dict[str, Any] = plain.pop("boxes")
+        boxes, driving, critical = (plain.pop(name) for name in ("boxes", "driving", "critical_boxes"))
         if plain.keys() != _KINDS.keys() or not all(_is(value, *_KINDS[key]) for key, value in plain.items()):
             raise ValueError("values of a record that are missing, too many, or of another type")
-        n_truth, n_frames, n_boxes = (boxes[name] for name in ("n_truth", "n_frames", "n_boxes"))
-        if not all(type(n) is int and 0 <= n <= MAX_BOXES for n in (n_truth, n_frames, n_boxes)):
-            raise ValueError(f"counts of boxes and frames must be whole numbers up to {MAX_BOXES}")
-        scores = _unpack(boxes["scores"], np.float32, n_boxes).astype(np.float64)
-        packed = {iou: _unpack(boxes["hits"][str(iou)], np.uint8, -(-n_boxes // 8)) for iou in IOUS}
-        hits = {iou: np.unpackbits(bits, count=n_boxes).astype(bool) for iou, bits in packed.items()}
-        return cls(meter=PooledApMeter(scores, hits, n_truth, n_frames, boxes["protocol"]), **plain)
+        return cls(
+            meter=_unpack_meter(boxes, IOUS),
+            driving=driving and DrivingRecord.from_json(driving, len(plain["damage"]), plain["n_maps"]),
+            critical_meter=critical and _unpack_meter(critical, IOUS[:1]),
+            **plain,
+        )
 
 
 _KINDS: dict[str, tuple[type, ...]] = {
@@ -180,7 +184,7 @@ class Store:
             return Fault(path, str(error))
         try:
             records = tuple(Record.from_json(record) for record in content["records"])
-        except (ValueError, KeyError, TypeError, OverflowError, zlib.error):
+        except (ValueError, LookupError, TypeError, AttributeError, OverflowError, zlib.error):
             return Fault(path, UNLIKE)
         return records if _of_run(records, run, conditions) else Fault(path, UNLIKE)
 
@@ -206,6 +210,25 @@ def _of_run(records: Sequence[Record], run: Run, conditions: Conditions) -> bool
         and len(record.damage) == len(record.similarity) == len(record.verifications)
         for record in records
     )
+
+
+def _pack_meter(meter: ApMeter, ious: Sequence[float]) -> dict[str, Any]:
+    """What a meter has matched at these thresholds, fit for JSON."""
+    scores = meter.matched(ious[0])[0].astype(np.float32)
+    hits = {str(iou): _pack(np.packbits(meter.matched(iou)[1])) for iou in ious}
+    counts = {"n_truth": meter.n_truth, "n_frames": meter.n_frames, "n_boxes": len(scores)}
+    return {**counts, "protocol": meter.protocol, "scores": _pack(scores), "hits": hits}
+
+
+def _unpack_meter(boxes: dict[str, Any], ious: Sequence[float]) -> PooledApMeter:
+    """The meter that `_pack_meter` was given; raises as `Record.from_json`."""
+    n_truth, n_frames, n_boxes = (boxes[name] for name in ("n_truth", "n_frames", "n_boxes"))
+    if not all(type(n) is int and 0 <= n <= MAX_BOXES for n in (n_truth, n_frames, n_boxes)):
+        raise ValueError(f"counts of boxes and frames must be whole numbers up to {MAX_BOXES}")
+    scores = _unpack(boxes["scores"], np.float32, n_boxes).astype(np.float64)
+    packed = {iou: _unpack(boxes["hits"][str(iou)], np.uint8, -(-n_boxes // 8)) for iou in ious}
+    hits = {iou: np.unpackbits(bits, count=n_boxes).astype(bool) for iou, bits in packed.items()}
+    return PooledApMeter(scores, hits, n_truth, n_frames, boxes["protocol"])
 
 
 def _pack(array: np.ndarray) -> str:

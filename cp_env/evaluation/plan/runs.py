@@ -9,11 +9,11 @@ from dataclasses import asdict, dataclass, field
 from itertools import product
 from typing import Any
 
-from cp_env.evaluation.plan.sources import code_of
+from cp_env.evaluation.plan.sources import calibration_digest, code_of
 from cp_env.metrics.average_precision import rules
 from cp_env.scenes import open_source
 from cp_env.settings import Fusion, Norm, Settings
-from cp_env.types import SceneSource
+from cp_env.types import Precision, SceneSource
 from cp_env.world.streams import PUBLIC_KEY, name_of_key
 from defenders.registry import Spec
 
@@ -41,6 +41,7 @@ class Conditions:
     ap: str = "strict"  # how average precision is counted: see `cp_env.metrics.average_precision`
     weights: str | None = None  # a file of the detector's; by default those that ship
     detector: str = "cp_env"  # see `cp_env.detector.registry`
+    precision: Precision = "float32"  # of the detector's maps, fusion and decoder
     sealed: bool = False  # each defender runs in a process of its own: see `defenders.sealed`
     key: str = field(default=PUBLIC_KEY, repr=False)  # of all random streams: see `cp_env.world.streams`
 
@@ -97,9 +98,10 @@ class Run:
             detector: digest of the detector's weights.
 
         Returns:
-            The package's version; digests of the scenes, of the weights, and of the source files of the defender, the
-            attack and the detector (see `sources.code_of`).
+            The package's version; digests of the scenes, of the weights, of the user's calibration of them if there is
+            one, and of the source files of the defender, the attack and the detector (see `sources.code_of`).
         """
+        own = calibration_digest(detector)  # what ships counts with the defender's files
         return {
             "version": _version(),
             "scenes": open_source(conditions.scenes).digest,
@@ -107,6 +109,7 @@ class Run:
             "defender_code": code_of("defender", self.defender),
             "attack_code": code_of("attack", self.attack),
             "detector_code": code_of("detector", conditions.detector),
+            **({"calibration": own} if own else {}),
         }
 
     def slug(self, conditions: Conditions, detector: str = "") -> str:

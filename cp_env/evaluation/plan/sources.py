@@ -15,6 +15,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Literal
 
+from defenders.calibration import own_file
 from defenders.registry import Spec
 
 Family = Literal["defender", "attack", "detector"]
@@ -50,6 +51,12 @@ def code_of(family: Family, spec: str) -> str:
     for path in files:
         sha.update(f"{path.name}\0{hashlib.sha256(path.read_bytes()).hexdigest()}\0".encode())
     return sha.hexdigest()[:16]
+
+
+def calibration_digest(detector: str) -> str:
+    """Digest of the user's calibration of the detector with this digest; "" if there is none."""
+    path = own_file(detector)
+    return hashlib.sha256(path.read_bytes()).hexdigest()[:16] if detector and path.is_file() else ""
 
 
 @lru_cache

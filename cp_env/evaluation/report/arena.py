@@ -7,27 +7,45 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from cp_env.evaluation.analysis.measures import MEASURES, measure_of
 from cp_env.evaluation.analysis.results import ArenaResults
 from cp_env.evaluation.plan.files import write_atomically
 from cp_env.evaluation.report import html, plots
 from cp_env.evaluation.report.benchmark import GLOSSARY, INTERVALS
+from cp_env.evaluation.report.driving import DRIVING
 from cp_env.evaluation.report.tables import (
     Table,
     all_rows,
     attack_ranking,
     curve_table,
     defender_ranking,
+    difference_table,
+    driving_table,
+    further_ranking,
     pairwise_results,
+    strata_table,
 )
 
+LOOKED_UP = """\
+In each scene a defender meets the attack that is worst for it there by the measure of the column. The attack is \
+picked on the scenes that are reported on, so scores are biased towards the worse."""
+SCREENED = """\
+Each defender meets the attack that was worst for it on {scenes}, which is not reported on."""
 RANKED = """\
-In each scene a defender meets the attack that does it the most damage there (detection loss: 1 − Jaccard of the \
-ego's boxes and those of the unattacked output, a mean over the frames under attack). Its score is the mean over \
-scenes, with Student's 95 % interval. AP@.5 is under the attack that leaves the least of it. A defender that is given \
-the attackers bounds what can be reached and has no rank."""
+Detection loss: 1 − Jaccard of the ego's boxes and those of the unattacked output, a mean over the frames under \
+attack. A score is the mean over scenes, with Gaffke's 95 % interval, which stays in [0, 1]. Rank: by the first \
+column; "2–3" where paired comparisons over the same episodes, with Holm's correction, do not tell an entry from those \
+beside it. First: the share of resampled sets of scenes in which the entry is first. A defender that is given the \
+attackers bounds what can be reached and has no rank."""
 LEFT_OVER = """\
-The reverse: the damage of an attack to the defence that is best against it in each scene (none that is given the \
-attackers), and the most AP@.5 that any of them keeps."""
+The reverse: what an attack does to the defence that is best against it in each scene (none that is given the \
+attackers), in each column by its own measure."""
+COMPARED = """\
+Every pair of ranked defenders over the same episodes, each under its worst attack as above: mean difference with \
+Student's 95 % interval of the pair by itself; p of the paired test after Holm's correction over all pairs of the \
+table. Fewer than six scenes tell nobody apart."""
+APART = """\
+Episodes in which the ego is benign, and those in which it is an attacker itself: it never leaves out its own map."""
 VIDEO_CAPTION = """\
 The ego of each defender in its worst episode, every other frame. Green: a true vehicle that was found, under the \
 ego's blue box; yellow: missed; magenta: a ghost. White discs are fused; red rings are attackers, orange crosses are \
@@ -47,13 +65,24 @@ def lead(results: ArenaResults) -> str:
     )
 
 
+def ranking_words(results: ArenaResults) -> str:
+    """What the ranking of defenders says, and how each one's attack was picked."""
+    if results.screening is None:
+        return f"{LOOKED_UP} {RANKED}"
+    described = results.screening.conditions.describe()
+    n = len(described["names"])
+    scenes = f"{n} scene{'' if n == 1 else 's'} of {described['scenes']}"
+    return f"{SCREENED.format(scenes=scenes)} {RANKED}"
+
+
 def draw_plots(results: ArenaResults) -> dict[str, str]:
     """SVG by name: "defenders", "attacks", "trade-off" and one for each curve."""
     rows = results.rows_at[results.baseline.point]
     colours = plots.colours_of(list(dict.fromkeys(row.defender for row in rows)))
+    worst = "worst attack of each scene" if results.screening is None else "screened attack"
     drawn = {}
     if results.defenders:
-        drawn["defenders"] = plots.bars(results.defenders, colours, "worst attack of each scene")
+        drawn["defenders"] = plots.bars(results.defenders, colours, worst)
         drawn["attacks"] = plots.bars(results.attacks, None, "best defence of each scene")
     if rows:
         drawn["trade-off"] = plots.trade_off(rows, colours)
@@ -63,37 +92,60 @@ def draw_plots(results: ArenaResults) -> dict[str, str]:
 def make_tables(results: ArenaResults) -> dict[str, Table]:
     """Tables by name, in the order in which they are shown."""
     rows = results.rows_at[results.baseline.point]
-    made = {
-        "defenders": defender_ranking(results.defenders, rows),
-        "attacks": attack_ranking(results.attacks),
-        "damage": pairwise_results(results.damage, lambda damage: damage, "Detection loss/frame, mean over scenes."),
-        "ap50": pairwise_results(results.ap50, lambda ap: 1 - ap, "AP@0.5 of a scene, mean over scenes."),
-    }
+    screened = results.screening is not None
+    made = {"defenders": defender_ranking(results.defenders, rows, screened)}
+    made |= {f"by-{name}": further_ranking(of, screened) for name, of in results.further.items() if of}
+    if results.differences:
+        made["differences"] = difference_table(results.differences, measure_of(results.by))
+    made["attacks"] = attack_ranking(results.attacks)
+    for name, scores in results.scores.items():
+        if any(by_scene for by_attack in scores.values() for by_scene in by_attack.values()):
+            made[name] = pairwise_results(scores, MEASURES[name].loss, MEASURES[name].caption)
+    if results.strata:
+        made["strata"] = strata_table(results.strata)
+    if any(row.driving is not None for row in rows):
+        made["driving"] = driving_table(rows)
     return made | {f"curve-{curve.axis}": curve_table(curve) for curve in results.curves}
+
+
+def headings_of(results: ArenaResults) -> dict[str, str]:
+    """The headings by the table that stands first below each."""
+    found = {"defenders": "Defenders"}
+    found |= {f"by-{name}": f"Defenders by {measure_of(name).heading}" for name in results.further}
+    found |= {"differences": "Pairs of defenders", "attacks": "Attacks", next(iter(results.scores)): "Pairwise results"}
+    return (
+        found
+        | {"strata": "By the ego", "driving": "Driving"}
+        | {f"curve-{c.axis}": f"Over {c.symbol}" for c in results.curves}
+    )
+
+
+def words_of(results: ArenaResults) -> dict[str, str]:
+    """What stands above some tables."""
+    return {"defenders": ranking_words(results), "differences": COMPARED, "attacks": LEFT_OVER, "strata": APART}
 
 
 def write_html(results: ArenaResults, drawn: Mapping[str, str], folder: Path, about: dict[str, Any]) -> Path:
     """Write `arena.html`: everything in one file, with the plots that were drawn of it."""
-    tables = {name: html.table(table) for name, table in make_tables(results).items()}
-
-    def shown(name: str, alt: str) -> str:
-        return html.plot(drawn[name], alt) if name in drawn else ""
-
-    parts: list[tuple[str, list[str]]] = [
-        ("Defenders", [html.paragraph(RANKED), tables["defenders"], shown("defenders", "Defenders, worst case")]),
-        ("Attacks", [html.paragraph(LEFT_OVER), tables["attacks"], shown("attacks", "Attacks, best defence")]),
-        (
-            "Pairwise results",
-            [tables["damage"], tables["ap50"], shown("trade-off", "AP over detection loss and over verifications")],
-        ),
-    ]
-    for curve in results.curves:
-        name = f"curve-{curve.axis}"
-        parts.append((f"Over {curve.symbol}", [tables[name], shown(name, f"Worst cases over {curve.symbol}")]))
+    headings, words = headings_of(results), words_of(results)
+    alts = {"defenders": "Defenders, worst case", "attacks": "Attacks, best defence"}
+    below = {"ap50": ("trade-off", "AP over detection loss and over verifications")}
+    parts: list[tuple[str, list[str]]] = []
+    for name, table in make_tables(results).items():
+        if name in headings:
+            parts.append((headings[name], []))
+        shown = parts[-1][1]
+        shown += [html.paragraph(words[name])] if name in words else []
+        shown.append(html.table(table))
+        plot, alt = below.get(name, (name, alts.get(name, f"Worst cases: {headings.get(name, name)}")))
+        shown += [html.plot(drawn[plot], alt)] if plot in drawn else []
     if results.worst:
         parts.append(("Worst episodes", [html.paragraph(VIDEO_CAPTION), html.videos(_videos(results))]))
     parts.append(
-        ("All results", [html.table(all_rows(results.rows_at)), html.preformatted(INTERVALS + "\n" + GLOSSARY)])
+        (
+            "All results",
+            [html.table(all_rows(results.rows_at)), html.preformatted("\n".join([INTERVALS, GLOSSARY, DRIVING]))],
+        )
     )
     parts.append(("How it was made", [html.preformatted(about["command"]), html.facts(_facts(about))]))
     if results.flags:
@@ -113,10 +165,7 @@ def write_markdown(
     title: str = "Arena",
 ) -> Path:
     """Write the report in Markdown; `links` are plots to show with the table of their name."""
-    tables = make_tables(results)
-    headings = {"defenders": "Defenders", "attacks": "Attacks", "damage": "Pairwise results"}
-    headings |= {f"curve-{curve.axis}": f"Over {curve.symbol}" for curve in results.curves}
-    words = {"defenders": RANKED, "attacks": LEFT_OVER}
+    tables, headings, words = make_tables(results), headings_of(results), words_of(results)
     parts = [f"# {title}\n", lead(results) + "\n"]
     parts += [f"**Not played.**\n\n```\n{results.failed}\n```\n"] if results.failed else []
     flags = "\n".join(f"* {flag}" for flag in results.flags)
@@ -129,7 +178,7 @@ def write_markdown(
         parts.append(table.markdown())
         parts += [f"![{heading or name}]({links.pop(name)})\n"] if name in links else []
     parts += [f"![{name}]({link})\n" for name, link in links.items()]
-    parts += ["## All results\n", all_rows(results.rows_at).markdown(), INTERVALS, GLOSSARY]
+    parts += ["## All results\n", all_rows(results.rows_at).markdown(), INTERVALS, GLOSSARY, DRIVING]
     facts = [f"* {name}: {what}" for name, what in _facts(about)]
     parts += ["## How it was made\n", f"```sh\n{about['command']}\n```\n", "\n".join(facts) + "\n"]
     write_atomically(path, "\n".join(parts))

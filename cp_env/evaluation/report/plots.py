@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Mapping, Sequence
+from textwrap import wrap
 from typing import Any
 
 import matplotlib
@@ -107,8 +108,9 @@ def lines(curve: Curve, colours: Colours) -> str:
                     elinewidth=0.8,
                     label=name,
                 )
-            axis.set(ylim=(-0.02, 1.02), xlabel=AXES[curve.axis], ylabel=f"{label},\nworst attack of each scene")
+            axis.set(ylim=(-0.02, 1.02), xlabel=AXES[curve.axis], ylabel=label)
             axis.set_xticks(x, [str(value) for value in curve.values])
+        figure.suptitle("\n".join(wrap(curve.under, 130)), fontsize="small")
         _legend_below(figure, axes[0], "defenders", "outside lower center")
         return _svg(figure)
 

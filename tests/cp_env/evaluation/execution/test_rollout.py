@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 import agents
+from cp_env.detector.coperception.truth import their_truth
 from cp_env.envs.core import Game
 from cp_env.evaluation import Rollout, Run, Store, Workers, execute, markdown, plan_runs, play, summarise
+from cp_env.evaluation.execution.rollout import EpisodeRecorder, finds_itself
 from tests.helpers.toy_evaluation import CONDITIONS, toy_bank
 
 
@@ -61,3 +64,20 @@ def test_a_defender_that_fails_ends_its_episode_and_is_named(workers: Workers, t
     (row,) = summarise(Store(tmp_path).load(runs, CONDITIONS), resamples=10)
     assert row.n_errors == 2
     assert "Grumpy (2 failed)" in markdown([row])
+
+
+def test_under_coperceptions_protocol_their_cars_count() -> None:
+    """The ego's own among them only for a detector that finds it."""
+    conditions = replace(CONDITIONS, ap="coperception")
+    run = Run("none", "none", 1, 7, CONDITIONS.names)
+    rollout = Rollout(run, conditions, toy_bank(), agents.make("none"))
+    (episode, t), outcome = rollout.world.places[0], rollout.step()
+    ego = int(episode.scene.connected[0])
+    assert not finds_itself(rollout.world)
+    counted = {
+        own: EpisodeRecorder("toy", (1,), "coperception", False, 5, own)._truth(outcome, 0) for own in (False, True)
+    }
+    for own, boxes in counted.items():
+        assert np.array_equal(boxes, their_truth(episode.scene, t, ego, own=own))
+    assert len(counted[True]) == len(counted[False]) + 1
+    assert np.array_equal(EpisodeRecorder("toy", (1,), "strict", False, 5)._truth(outcome, 0), outcome.truth[0])

@@ -13,7 +13,9 @@ import pytest
 import agents
 import defenders
 from cp_env.evaluation.plan import sources
-from cp_env.evaluation.plan.sources import code_of
+from cp_env.evaluation.plan.runs import Conditions, Run
+from cp_env.evaluation.plan.sources import calibration_digest, code_of
+from defenders.calibration import own_file, write_part
 
 
 @pytest.fixture
@@ -89,3 +91,22 @@ def test_a_file_that_an_option_names_counts(fresh: Path) -> None:
 @pytest.mark.parametrize("spec", ["nowhere:A", "no.such.module:A", "sys:A", "tests.helpers:A", ".:A"])
 def test_what_has_no_file_has_no_digest_or_one_and_never_fails(spec: str) -> None:
     assert isinstance(code_of("attack", spec), str)
+
+
+def test_a_run_is_known_by_the_users_calibration_of_its_weights(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What a defender rests on is part of what was played; another detector's file is not."""
+    monkeypatch.setenv("CP_ENV_CALIBRATION", str(tmp_path))
+    conditions = Conditions("town/test", ("test-urban-00",))
+    run = Run("bayes", "none", 0, 0, conditions.names)
+    plain = run.identity(conditions, "feed")
+    assert "calibration" not in plain and calibration_digest("") == ""
+    write_part(own_file("beef"), "beef", "mean", "previous_frame", {"epsilon": {1: 0.1}})
+    assert run.identity(conditions, "feed") == plain
+    names = {run.slug(conditions, "feed")}
+    for epsilon in (0.1, 0.2):
+        write_part(own_file("feed"), "feed", "mean", "previous_frame", {"epsilon": {1: epsilon}})
+        assert run.identity(conditions, "feed")["calibration"] == calibration_digest("feed")
+        names.add(run.slug(conditions, "feed"))
+    assert len(names) == 3

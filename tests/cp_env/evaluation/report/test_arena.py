@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
+import json
 import re
 from collections.abc import Iterator
 from dataclasses import replace
@@ -40,14 +41,15 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
         for number, run in enumerate(grid.runs):
             harm = 0.0 if run.attack == "none" else (number * 37 % 100) / 100
             frames = {
-                "attackers": (1, 3, 4)[: run.k],
+                "attackers": (number % 2, 3, 4)[: run.k],
                 "damage": (0.0, harm, harm),
                 "error": "why" if number == 3 else None,
                 "informed": run.defender == "seer",
             }
             made = [record(s, "110" if harm < 0.5 else "01", 3 + len(s) % 2, **frames) for s in run.names]
             grid.store.write(run, grid.conditions, made)
-    results = collect_results(grids, folder, resamples=20, failed=f"{HOSTILE} against no attack: it broke")
+    failed = f"{HOSTILE} against no attack: it broke"
+    results = collect_results(grids, folder, resamples=20, failed=failed, rank_by=("damage", "ap50"))
     gif = write_gif([np.full((80, 120, 3), shade, np.uint8) for shade in (20, 200)], folder / "video.gif")
     worst = {name: Worst(grid.runs[0], 0.5, gif) for name, grid in zip(DEFENDERS, grids, strict=False)}
     results = replace(results, worst=worst)
@@ -96,11 +98,49 @@ def test_the_same_results_give_the_same_bytes(page: Path) -> None:
 def test_markdown_tables_hold_together_whatever_the_names(page: Path) -> None:
     for file in ("arena.md", "leaders.md"):
         tables = re.findall(r"(?:^\|.*\n)+", (page.parent / file).read_text(), re.MULTILINE)
-        assert len(tables) == 2 + 2 + 2 + 1
+        assert len(tables) == 2 + 2 + 2 + 1 + 3  # the last: by AP, pairs of defenders, by the ego
         for table in tables:
             lines = table.splitlines()
             assert len({len(re.findall(r"(?<!\\)\|", line)) for line in lines}) == 1
             assert "<script>" not in table
+
+
+def test_the_page_says_how_attacks_were_picked_and_what_intervals_and_ranks_mean(page: Path) -> None:
+    text = (page.parent / "arena.md").read_text()
+    for words in (
+        "picked on the scenes that are reported on",
+        "Gaffke's 95 % interval, which stays in [0, 1]",
+        "with Holm's correction",
+        "Fewer than six scenes tell nobody apart",
+        "exact bounds of Clopper and Pearson",
+        "## Defenders by AP@.5",
+        "## Pairs of defenders",
+        "## By the ego",
+    ):
+        assert words in text and words.removeprefix("## ").replace("'", "&#x27;") in page.read_text()
+    assert "| 1–3 | 0." in text, "two scenes leave every place open"
+
+
+def test_a_screened_ranking_names_the_attack_and_the_scenes(tmp_path: Path) -> None:
+    axes = Axes(defenders=("none", "wall"), attacks=("loud", "sly"), ks=(2, 1))
+    grids = axes.grids(CONDITIONS, {"mean": Store(tmp_path)})
+    elsewhere = replace(grids[0], store=Store(tmp_path / "screening"))
+    for grid, harms in ((elsewhere, {"loud": 0.9, "sly": 0.1}), *((grid, {"loud": 0.2, "sly": 0.8}) for grid in grids)):
+        for run in grid.runs:
+            harm = harms.get(run.attack, 0.0)
+            made = [record(s, "1", 2, attackers=(0, 3)[: run.k], damage=(0.0, harm, harm)) for s in run.names]
+            grid.store.write(run, grid.conditions, made)
+    results = collect_results(grids, tmp_path, resamples=10, screening=elsewhere)
+    assert {line.damage.mean for line in results.defenders} == {0.2}, "what was worst elsewhere, not here"
+    assert {curve.under for curve in results.curves} == {
+        "under the attack that was worst on the screening scenes (loud: none, wall)"
+    }
+    text = write_markdown(results, tmp_path / "arena.md", about(CONDITIONS, "cp-arena")).read_text()
+    assert "Each defender meets the attack that was worst for it on 2 scenes of toy" in text
+    assert "detection loss/frame, screened attack" in text and "| loud |" in text
+    data = json.loads(write_json(results, tmp_path, about(CONDITIONS, "cp-arena"))[0].read_text())
+    assert data["screening"]["names"] == ["toy-0", "toy-1"] and data["ranked_by"] == "damage"
+    assert {pair["adjusted"] for pair in data["differences"]} == {1.0}
 
 
 # ── in a real browser ────────────────────────────────────────────────────────────────────────────────────────────────

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -12,8 +13,9 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from cp_env.evaluation import Workers, screen
-from tests.helpers.toy_evaluation import SOURCE, open_toy, record, rows_of
+from cp_env.evaluation import Run, Workers, about, screen, strata, summarise, write_report
+from cp_env.evaluation.report.benchmark import metric_text
+from tests.helpers.toy_evaluation import CONDITIONS, SOURCE, open_toy, record, rows_of
 
 
 def test_the_report_says_how_to_make_it_again(whole: Path) -> None:
@@ -23,10 +25,29 @@ def test_the_report_says_how_to_make_it_again(whole: Path) -> None:
     assert data["about"]["versions"]["torch"]
     assert len(data["rows"]) == 4
     text = (whole / "results.md").read_text()
-    tables = [[line for line in part.splitlines() if line.startswith("|")] for part in text.split("```")[::2]]
+    tables = [part.splitlines() for part in re.findall(r"(?:^\|.*\n)+", text, re.MULTILINE)]
+    assert len(tables) >= 2, "a short one, and one with intervals"
     for table in tables:
         assert len(table) == 2 + 4
         assert len({line.count("|") for line in table}) == 1
+
+
+def test_a_rate_of_episodes_is_printed_with_its_count() -> None:
+    row = rows_of(prbi__pgd=[record(str(i), "1", 1) for i in range(9)])["prbi__pgd"]
+    assert metric_text(row, "convergence_rate", ".2f", interval=True) == "0 of 9 [0.00, 0.34]"
+    assert metric_text(row, "convergence_rate", ".2f", interval=False) == "0 of 9"
+    assert metric_text(row, "mc_rate", ".2f", interval=False) == "0.00"
+    assert metric_text(row, "recovery50", ".2f", interval=True) == "–"
+
+
+def test_both_cases_of_the_ego_are_in_the_report(tmp_path: Path) -> None:
+    results = {Run("prbi", "pgd", 2, 0, ("a", "b")): [record("a", "1", 1, attackers=(0, 2)), record("b", "1", 1)]}
+    write_report(tmp_path, summarise(results, resamples=5), about(CONDITIONS, "x"), strata(results, resamples=5))
+    text = (tmp_path / "results.md").read_text()
+    assert "Episodes in which the ego is benign:" in text and "Episodes in which the ego is an attacker:" in text
+    data = json.loads((tmp_path / "results.json").read_text())
+    assert [len(data["strata"][name]) for name in ("ego_benign", "ego_attacker")] == [1, 1]
+    assert len(data["rows"]) == 1 and data["rows"][0]["n_episodes"] == 2
 
 
 def test_the_table_fits_a_terminal_of_eighty_columns() -> None:

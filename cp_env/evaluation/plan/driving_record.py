@@ -1,0 +1,114 @@
+"""What a record holds of the ego's driving: critical vehicles, targeted success, severity, the pseudo-closed loop."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from cp_env.metrics.targeted import longest_streak
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class DrivingRecord:
+    """The driving measures of one episode. Tuples run over its frames, grace frames included; flags are 0 or 1.
+
+    See `cp_env.metrics.critical`, `severity` and `targeted`, and `cp_env.driving`.
+    """
+
+    critical: tuple[int, ...]  # critical vehicles
+    critical_missed: tuple[int, ...]
+    removable: tuple[int, ...]  # whether the nearest vehicle is found in the clean view
+    removed: tuple[int, ...]  # and missing in the output
+    spoofed: tuple[int, ...]
+    decodes: tuple[int, ...]  # groups perceived
+    belief: tuple[float, ...]  # the defender's, vehicle by vehicle in each frame; empty if it has none
+    late_frames: int  # that took longer than the deadline
+    mdr: float  # m/s²
+    fsr: float  # m/s lost in a minute
+    collided: bool
+    hard_brakings: int
+    hardest_braking: float  # m/s²
+    impact_speed: float  # m/s
+    min_time_to_collision: float | None  # s; None if the ego never closed in on a vehicle
+    mean_speed: float  # m/s
+
+    @classmethod
+    def from_json(cls, data: Any, n_frames: int, n_maps: int) -> DrivingRecord:
+        """The record that `asdict` gave.
+
+        Args:
+            data: what was stored.
+            n_frames: of the episode.
+            n_maps: vehicles that have a belief.
+
+        Raises:
+            ValueError, TypeError: it is none of such an episode.
+        """
+        plain: dict[str, Any] = {key: tuple(value) if isinstance(value, list) else value for key, value in data.items()}
+        made = cls(**plain)
+        for one in fields(cls):
+            value = plain[one.name]
+            if isinstance(value, tuple):
+                kind = float if one.name == "belief" else int
+                wanted = (0, n_frames * n_maps) if one.name == "belief" else (n_frames,)
+                if len(value) not in wanted or any(type(item) is not kind for item in value):
+                    raise ValueError(f"{one.name} of a driving record is of another length or type")
+            elif type(value) not in _PLAIN[one.name]:
+                raise ValueError(f"{one.name} of a driving record is of another type")
+        return made
+
+    def to_json(self) -> dict[str, Any]:
+        """All values, fit for JSON."""
+        return asdict(self)
+
+    def recall(self, grace: int) -> float | None:
+        """Critical recall after the grace frames; None without a critical vehicle."""
+        there = sum(self.critical[grace:])
+        return 1 - sum(self.critical_missed[grace:]) / there if there else None
+
+    def removal(self, grace: int) -> float | None:
+        """Share of the frames with a removable target in which it is removed; None without such a frame."""
+        there = sum(self.removable[grace:])
+        return sum(self.removed[grace:]) / there if there else None
+
+    def spoofing(self, grace: int) -> float | None:
+        """Share of the frames in which a car is spoofed; None without a frame."""
+        return float(np.mean(self.spoofed[grace:])) if len(self.spoofed) > grace else None
+
+    def streak(self, grace: int) -> int:
+        """The most consecutive frames in which the attack reached one of the two targets."""
+        either = zip(self.removed[grace:], self.spoofed[grace:], strict=True)
+        return longest_streak(removed or spoofed for removed, spoofed in either)
+
+    def beliefs(self, n_maps: int) -> Float[np.ndarray, "T N"]:
+        """The defender's belief in each frame; no rows if it has none."""
+        return np.array(self.belief, dtype=np.float64).reshape(-1, n_maps)
+
+
+_PLAIN: dict[str, tuple[type, ...]] = {
+    "late_frames": (int,),
+    "mdr": (float,),
+    "fsr": (float,),
+    "collided": (bool,),
+    "hard_brakings": (int,),
+    "hardest_braking": (float,),
+    "impact_speed": (float,),
+    "min_time_to_collision": (float, type(None)),
+    "mean_speed": (float,),
+}
+"""Types of the values that are one for an episode."""
+
+
+def believed(belief: Any, n_maps: int) -> Sequence[float]:
+    """A defender's belief as a record holds it: one probability a vehicle, or nothing if it gives none."""
+    try:
+        array = np.asarray(belief, dtype=np.float64).ravel()
+    except (TypeError, ValueError):
+        return ()
+    if array.size != n_maps or not np.isfinite(array).all():
+        return ()
+    return [round(float(value), 6) for value in array.clip(0.0, 1.0)]
