@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any, Literal, TypedDict, get_args, get_type_hi
 
 import numpy as np
 
-from defenders.registry import checked_value, unknown
+from cp_env.types import Precision
+from defenders.registry import checked_value, shown, unknown
 
 if TYPE_CHECKING:
     from cp_env.detector.protocol import DetectorLike
@@ -20,7 +21,7 @@ Norm = Literal["linf", "l2"]
 Action = Literal["guided", "stealth", "basis", "full"]
 ObservationKind = Literal["features", "compact"]
 Knowledge = Literal["black-box", "gray-box", "white-box"]
-RewardName = Literal["damage", "ap_drop", "stealth"]
+RewardName = Literal["damage", "ap_drop", "stealth", "critical", "targeted"]
 Slots = Literal["adversaries", "vehicles"]
 StateKind = Literal["maps", "compact"]
 
@@ -30,6 +31,9 @@ ACTIONS: tuple[str, ...] = get_args(Action)
 OBSERVATIONS: tuple[str, ...] = get_args(ObservationKind)
 KNOWLEDGE: tuple[str, ...] = get_args(Knowledge)
 REWARDS: tuple[str, ...] = get_args(RewardName)
+
+LARGEST_FLEET = 1024
+"""Vehicles of a scene, at most: far more than any data set has. Our choice."""
 
 LARGEST_BUDGET = float(np.finfo(np.float16).max)
 """No map holds larger numbers: they are kept in half precision."""
@@ -64,10 +68,17 @@ class Options(TypedDict, total=False):
     detector: str | DetectorLike
     checkpoint: str | Path | None
     device: str
+    precision: Precision
     render_mode: str | None
 
 
-WORLD_DEFAULTS: dict[str, Any] = {"scenes": "town", "detector": "cp_env", "checkpoint": None, "device": "cpu"}
+WORLD_DEFAULTS: dict[str, Any] = {
+    "scenes": "town",
+    "detector": "cp_env",
+    "checkpoint": None,
+    "device": "cpu",
+    "precision": "float32",
+}
 """The options that say what is perceived and with what; all others are fields of `Settings`."""
 
 
@@ -102,6 +113,8 @@ class Settings:
             object.__setattr__(self, name, checked_value(name, getattr(self, name), kind))
         if self.n_vehicles < 2:
             raise ValueError(f"n_vehicles must be at least 2 (an ego and a collaborator), not {self.n_vehicles}")
+        if self.n_vehicles > LARGEST_FLEET:
+            raise ValueError(f"n_vehicles must be at most {LARGEST_FLEET}, not {shown(self.n_vehicles)}")
         if not 0 <= self.budget <= LARGEST_BUDGET:
             raise ValueError(f"budget Δ must be a finite number from 0 to {LARGEST_BUDGET:.0f}, not {self.budget}")
         if self.max_frames < 1:
@@ -111,7 +124,7 @@ class Settings:
         if self.attackers is None:
             self._check_count()
         else:
-            object.__setattr__(self, "attackers", _numbers(self.attackers))
+            object.__setattr__(self, "attackers", _numbers(self.attackers, self.n_maps))
             self._check_set(self.attackers)
 
     @classmethod
@@ -151,10 +164,14 @@ class Settings:
         return self.n_attackers if self.attackers is None else len(self.attackers)
 
 
-def _numbers(attackers: object) -> tuple[int, ...]:
-    """Vehicle numbers from any sequence of whole numbers but a text."""
-    if isinstance(attackers, str | bytes) or not isinstance(attackers, Sequence | np.ndarray | set | frozenset):
-        raise ValueError(f"attackers must be a sequence of vehicle numbers such as (0, 3), not {attackers!r:.80}")
+def _numbers(attackers: object, n_maps: int) -> tuple[int, ...]:
+    """Vehicle numbers from any sequence of whole numbers but a text; no more than there are maps."""
+    listed = isinstance(attackers, Sequence | np.ndarray | set | frozenset) and not isinstance(attackers, str | bytes)
+    if not listed or getattr(attackers, "ndim", 1) != 1:
+        raise ValueError(f"attackers must be a sequence of vehicle numbers such as (0, 3), not {shown(attackers)}")
+    assert isinstance(attackers, Sequence | np.ndarray | set | frozenset)
+    if len(attackers) > n_maps:
+        raise ValueError(f"attackers must be distinct numbers from 0 (the ego) to {n_maps - 1}, not {shown(attackers)}")
     return tuple(checked_value("attackers", number, int) for number in attackers)
 
 

@@ -14,14 +14,15 @@ from dataclasses import dataclass, field, fields, replace
 from typing import NoReturn
 
 import numpy as np
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from agents.protocol import Attack, Streams, streams
 from cp_env.world.situation import Situation
 
-WITHHELD = ("fused", "output", "verdict", "simulate", "features", "clean", "detector")
-"""Fields of a situation that reveal the defence, and those that follow from the rest and the detector's digest."""
+WITHHELD = ("fused", "output", "verdict", "simulate", "features", "receive", "perceive_clean", "detector")
+"""Fields of a situation that reveal the defence, and those that follow from the maps and the detector's digest."""
 
 
 @dataclass
@@ -72,24 +73,25 @@ def _refuse(delta: Float[Tensor, "E k C H W"], rng: Sequence[np.random.Generator
     raise ValueError("a cached attack knows of no defence and cannot simulate it: play it without the cache")
 
 
-def _facts(situation: Situation) -> list[bytes]:
+def _facts(situation: Situation) -> list[bytes | memoryview]:
     """Everything else in a situation that an answer may depend on."""
     shown = {part.name: getattr(situation, part.name) for part in fields(situation) if part.name not in WITHHELD}
-    bits = {name: _bits(value) for name, value in shown.items()}
+    bits = {name: _bits(value) for name, value in (shown | {"received": situation.received}).items()}
     return [
         situation.detector.digest.encode(),
         *(part for item in bits.items() for part in (item[0].encode(), item[1])),
     ]
 
 
-def _bits(value: Tensor | np.ndarray | float | str | None) -> bytes:
+def _bits(value: Tensor | np.ndarray | float | str | None) -> bytes | memoryview:
     if isinstance(value, Tensor):
-        return value.detach().cpu().contiguous().numpy().tobytes()
+        return memoryview(value.detach().cpu().flatten().view(torch.uint8).numpy())  # any precision, not copied
     return value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode()
 
 
-def _digest(*parts: bytes) -> bytes:
-    digest = hashlib.blake2b(digest_size=16)
+def _digest(*parts: bytes | memoryview) -> bytes:
+    digest = hashlib.sha256()  # processors have instructions for it: a frame's maps take megabytes
     for part in parts:
-        digest.update(len(part).to_bytes(8, "little") + part)
+        digest.update(len(part).to_bytes(8, "little"))
+        digest.update(part)
     return digest.digest()

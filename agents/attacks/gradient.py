@@ -24,6 +24,9 @@ from agents.attacks.targets import (
 )
 from agents.protocol import Streams, streams
 from cp_env.perturbation.ball import make_ball
+from cp_env.settings import choose
+from cp_env.types import PRECISIONS, Precision
+from cp_env.world.counterfactual import in_precision
 from cp_env.world.situation import Situation
 
 BATCH_WORLDS = {"cpu": 8}
@@ -50,6 +53,8 @@ class GradientAttack:
         budget_schedule: the share of Δ that may be used, frame by frame.
         where: the cells of the attackers' maps that may be changed; all by default.
         joint: the attackers of a world search together, or each as if the others were benign.
+        precision: of the search's own copy of the detector, "bfloat16" for a faster one; the victim's by default. δ and
+            the loss stay in single precision.
     """
 
     optimizer: Optimizer = field(default_factory=ProjectedGradient)
@@ -61,6 +66,7 @@ class GradientAttack:
     budget_schedule: BudgetSchedule = full_budget
     where: Cells | None = None
     joint: bool = True
+    precision: Precision | None = None
     _streams: list[np.random.Generator] = field(default_factory=list, init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -68,6 +74,8 @@ class GradientAttack:
             raise ValueError(f"restarts counts the starts and must be at least 1, got {self.restarts}")
         self._objective, self._target_groups = make_objective(self.objective), make_target_groups(self.target_groups)
         self._schedule = make_schedule(self.schedule)
+        if self.precision is not None:
+            choose("precision", self.precision, PRECISIONS)
 
     def reset(self, n_worlds: int, rng: Streams) -> None:
         self._streams = streams(n_worlds, rng)
@@ -79,6 +87,8 @@ class GradientAttack:
             ValueError: target groups, a budget schedule or cells that cannot be used.
         """
         delta = no_perturbation(situation)
+        if self.precision is not None:
+            situation = in_precision(situation, self.precision)
         targets = collect_targets(situation, self._target_groups, due(situation, self._schedule), joint=self.joint)
         if len(targets.world):
             feasible, worlds = self._feasible_set(targets), targets.world.unique()
@@ -108,13 +118,13 @@ class GradientAttack:
             raise ValueError(f"a budget schedule gives a share of the budget, 0 to 1; got {share.tolist()}")
         cells = None
         if self.where is not None:
-            mask, shape = self.where(situation), (*situation.attackers.shape, *situation.received.shape[-2:])
+            mask, shape = self.where(situation), (*situation.attackers.shape, *situation.coverage.shape[-2:])
             if tuple(mask.shape) != shape:
                 raise ValueError(f"where must give cells of shape [E, k, H, W] = {shape}, not {tuple(mask.shape)}")
-            cells = (mask[targets.world[:, None], targets.slots] > 0).to(situation.received)[:, :, None]
+            cells = (mask[targets.world[:, None], targets.slots] > 0).to(situation.coverage)[:, :, None]
         if (share == 1).all():
             return FeasibleSet(situation.norm, situation.budget, cells=cells)
-        shares = torch.from_numpy(share).to(situation.received)[targets.world]
+        shares = torch.from_numpy(share).to(situation.coverage)[targets.world]
         return FeasibleSet(situation.norm, situation.budget, shares[:, None, None, None, None], cells)
 
     def _start(
@@ -131,8 +141,7 @@ class GradientAttack:
 
 def no_perturbation(situation: Situation) -> Float[Tensor, "E k C H W"]:
     """No perturbation."""
-    worlds, k = situation.attackers.shape
-    return situation.received.new_zeros((worlds, k, *situation.received.shape[2:]))
+    return torch.zeros(situation.delta_shape, device=situation.device)
 
 
 def due(situation: Situation, schedule: Schedule) -> Bool[Tensor, " E"]:

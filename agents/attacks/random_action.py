@@ -32,7 +32,7 @@ class RandomActions:
     def act(self, situation: Situation) -> Float[Tensor, "E k C H W"]:
         """See `Attack.act`."""
         if self._map is None:
-            self._map = make_action(self.action, *situation.received.shape[2:4])
+            self._map = make_action(self.action, *situation.delta_shape[2:4])
         shape = (situation.attackers.shape[1], *self._map.space.shape)
         actions = np.stack([rng.uniform(-1.0, 1.0, shape) for rng in self._streams])
         return self._map(actions.astype(np.float32), situation)

@@ -136,12 +136,12 @@ def collect_targets(
 
 def everyone(situation: Situation) -> GroupDistribution:
     """All vehicles that are present, Eq. (1): for attackers that know of no defence."""
-    return situation.present[:, None], situation.received.new_ones(len(situation.fused), 1)
+    return situation.present[:, None], situation.coverage.new_ones(len(situation.fused), 1)
 
 
 def fused(situation: Situation) -> GroupDistribution:
     """The group that the ego is expected to fuse: excluded attackers have no effect, and pause."""
-    return situation.fused[:, None], situation.received.new_ones(len(situation.fused), 1)
+    return situation.fused[:, None], situation.coverage.new_ones(len(situation.fused), 1)
 
 
 TARGET_GROUPS: dict[str, TargetGroups] = {"everyone": everyone, "fused": fused}

@@ -9,13 +9,15 @@ from torch import nn
 
 from cp_env.detector.model.base import BaseDetector
 from cp_env.detector.protocol import DetectorLike
-from defenders.registry import Registry, Spec
+from cp_env.types import PRECISIONS, Precision
+from defenders.registry import Registry, Spec, shown, unknown
 
 
-def _own(*, fusion: str = "mean", weights: Path | None = None) -> DetectorLike:
+def _own(*, fusion: str = "mean", weights: Path | None = None, precision: Precision = "float32") -> DetectorLike:
     from cp_env.detector.model.weights import load_detector, read_detector
 
-    return load_detector(fusion) if weights is None else read_detector(weights).freeze()
+    made = load_detector(fusion) if weights is None else read_detector(weights).freeze()
+    return made.with_precision(precision)
 
 
 def _coperception(*, checkpoint: Path, fusion: str = "mean") -> DetectorLike:
@@ -39,6 +41,7 @@ def open_detector(
     fusion: str = "mean",
     checkpoint: str | Path | None = None,
     device: str = "cpu",
+    precision: str = "float32",
 ) -> DetectorLike:
     """A detector by its name, or the object itself, on `device`.
 
@@ -48,6 +51,7 @@ def open_detector(
         fusion: the fusion of a detector that is named.
         checkpoint: coperception's file; for `detector="coperception"` alone.
         device: as torch spells it.
+        precision: of maps, fusion and decoder: "float32", or "bfloat16", which our own detector knows.
 
     Returns:
         The detector, frozen if it was opened by name.
@@ -55,7 +59,7 @@ def open_detector(
     Raises:
         ValueError: an unknown name or option, a place that holds no detector (nothing of it is called then); a
             checkpoint without coperception's detector, or the reverse; a device that is not there; what `load_detector`
-            and `coperception.load_checkpoint` raise.
+            and `coperception.load_checkpoint` raise; a precision that the detector does not know.
     """
     _check_device(device)
     spec = Spec.parse(detector) if isinstance(detector, str) else None
@@ -64,15 +68,34 @@ def open_detector(
     if given != (name == "coperception") and (checkpoint is not None or name == "coperception"):
         raise ValueError(
             'detector="coperception" and its checkpoint="file" come together: '
-            f"got detector={name!r} and checkpoint={checkpoint!r}"
+            f"got detector={shown(name)} and checkpoint={shown(checkpoint)}"
         )
     if spec is None:
-        return _on(device, DETECTORS.make(detector))
+        return _precise(precision, _on(device, DETECTORS.make(detector)))
     options = {} if name not in DETECTORS.entries or "fusion" in spec.options else {"fusion": fusion}
     made = DETECTORS.make(detector, **options, **({} if checkpoint is None else {"checkpoint": checkpoint}))
     if spec.place is not None and isinstance(made, BaseDetector):
         made.freeze()
-    return _on(device, made)
+    return _precise(precision, _on(device, made))
+
+
+def _precise(precision: str, detector: DetectorLike) -> DetectorLike:
+    """The detector in that precision: itself if nothing but the default is asked for."""
+    if precision not in PRECISIONS:
+        raise unknown("precision", precision, PRECISIONS)
+    if precision == "float32":
+        return detector
+    if not isinstance(detector, BaseDetector):
+        raise ValueError(f"detector {type(detector).__name__} knows no precision but float32, not {shown(precision)}")
+    precise: DetectorLike = detector.with_precision(precision)  # type: ignore[assignment]  # as whole as it was
+    return precise
+
+
+def precise(detector: str, precision: Precision) -> str:
+    """The name of a detector with that precision as its option; the name itself for the default."""
+    if precision == "float32":
+        return detector
+    return f"{detector}{',' if ':' in detector else ':'}precision={precision}"
 
 
 def _check_device(device: str) -> None:
@@ -80,7 +103,9 @@ def _check_device(device: str) -> None:
     try:
         torch.empty(0, device=device)
     except (RuntimeError, AssertionError, NotImplementedError, TypeError) as error:
-        raise ValueError(f"device {device!r} cannot be used here ({error}); use 'cpu', or a device that is") from error
+        raise ValueError(
+            f"device {shown(device)} cannot be used here ({error}); use 'cpu', or a device that is"
+        ) from error
 
 
 def _on(device: str, detector: DetectorLike) -> DetectorLike:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from cp_env.envs import after_fork  # noqa: F401 (children that are forked compute on one thread)
 from cp_env.envs.core import Game
 from cp_env.envs.parallel import CollaborativePerceptionEnv
 from cp_env.envs.single import JointAdversaryEnv

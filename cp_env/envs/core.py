@@ -39,6 +39,13 @@ INFO_KEYS = (
     "converged",  # 1 if the defender has converged
     "frame",  # since the episode began
     "failed",  # 1 if the defender raised: the episode is over
+    "decodes",  # groups that were perceived in this frame
+    "critical",  # vehicles that matter for the ego's driving: near in its corridor, or soon to be hit
+    "critical_missed",  # how many of them the output misses
+    "miss_severity",  # m/s²: the hardest braking that a missed vehicle demands
+    "ghost_severity",  # m/s²: the hardest braking that a ghost demands
+    "removed",  # 1 if the output misses the nearest vehicle, which the clean view finds
+    "spoofed",  # 1 if the output holds a critical ghost that the clean view does not hold
 )
 
 Infos = dict[str, np.ndarray]

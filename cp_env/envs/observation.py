@@ -5,6 +5,9 @@ The entries of the context are a table: `cp_env.envs.context`. All of them lie i
 
 from __future__ import annotations
 
+from typing import Any
+from weakref import WeakKeyDictionary
+
 import gymnasium
 import numpy as np
 import torch
@@ -20,6 +23,7 @@ from cp_env.envs.context import (
     read_context,
 )
 from cp_env.settings import Settings
+from cp_env.world.episode import Episode
 from cp_env.world.situation import Outcome
 from cp_env.world.world import World
 
@@ -36,6 +40,7 @@ class Observer:
 
     def __init__(self, settings: Settings, channels: int, size: int) -> None:
         self.settings, self._shape = settings, (channels, size, size)
+        self._energy: WeakKeyDictionary[Episode, dict[int, np.ndarray]] = WeakKeyDictionary()
         self.context_size = len(context_names(settings.knowledge, settings.n_maps))
         context = gymnasium.spaces.Box(-1.0, 1.0, (self.context_size,), np.float32)
         self.space: gymnasium.spaces.Box | gymnasium.spaces.Dict = (
@@ -46,17 +51,31 @@ class Observer:
             else gymnasium.spaces.Box(-1.0, 1.0, (self.context_size + POOL**2,), np.float32)
         )
 
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name != "_energy"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state, _energy=WeakKeyDictionary())  # computed again
+
     def __call__(
         self, world: World, slots: SlotAssignment, last: Outcome | None, fresh: Bool[np.ndarray, " E"]
     ) -> Observation:
         """Every slot's observation, first axes [E, S]. In `fresh` worlds the episode just began: no `last` there."""
         context = read_context(columns_of(self.settings.knowledge), Moment(world, slots, last, fresh))
-        maps = world.features()
-        own = maps[torch.arange(len(maps))[:, None], torch.from_numpy(slots.vehicle)]
         if self.settings.observation == "features":
-            return {"features": own.cpu().numpy(), "context": context}
-        energy = np.tanh(pooled(own.mean(2)))
-        return np.concatenate([context, energy], axis=-1).astype(np.float32)
+            maps = world.features()
+            own = maps[torch.arange(len(maps))[:, None], torch.from_numpy(slots.vehicle)]
+            return {"features": own.float().cpu().numpy(), "context": context}
+        energy = np.stack([self._energies(*place) for place in world.places])
+        own_energy = np.take_along_axis(energy, slots.vehicle[..., None], axis=1)
+        return np.concatenate([context, own_energy], axis=-1).astype(np.float32)
+
+    def _energies(self, episode: Episode, frame: int) -> Float[np.ndarray, "N cells"]:
+        """The mean feature of every vehicle's map on a coarse grid, squashed to [-1, 1]: computed once for a frame."""
+        known = self._energy.setdefault(episode, {})
+        if frame not in known:
+            known[frame] = np.tanh(pooled(episode.maps("features", frame)[None].mean(2)))[0]
+        return known[frame]
 
     @property
     def state_space(self) -> gymnasium.spaces.Box:
@@ -71,16 +90,15 @@ class Observer:
     ) -> Float[np.ndarray, "..."]:
         """The central state of world `e`, for critics: every vehicle's map, or one vector of `state_names`."""
         episode, frame = world.places[e]
-        maps = episode.maps("features", frame)
         if self.settings.state == "maps":
-            return maps.numpy()
+            return episode.maps("features", frame).numpy()
         n = self.settings.n_maps
         vehicle = np.tile(np.arange(n), (world.num_envs, 1))
         slots = SlotAssignment(vehicle, (vehicle[..., None] == world.attackers[:, None]).any(-1))
         moment = Moment(world, slots, last, fresh)
         columns = [column for column in columns_of("white-box") if column.name != "own"]
         own, team = ([column for column in columns if column.shared == one] for one in (False, True))
-        each = np.concatenate([read_context(own, moment)[e], np.tanh(pooled(maps[None].mean(2)))[0]], axis=-1)
+        each = np.concatenate([read_context(own, moment)[e], self._energies(episode, frame)], axis=-1)
         return np.concatenate([each.ravel(), read_context(team, moment)[e, 0]]).astype(np.float32)
 
 

@@ -13,6 +13,7 @@ from jaxtyping import Float
 from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
+import defenders
 from cp_env.envs.actions.base import real_numbers
 from cp_env.envs.core import Game
 from cp_env.envs.joint import Observation, world
@@ -21,6 +22,7 @@ from cp_env.settings import Options
 from cp_env.world.scene_cache import SceneBank
 from cp_env.world.verification import DefenderError
 from defenders.protocol import Defender
+from defenders.registry import shown
 
 Infos = dict[str, dict[str, int | float]]
 
@@ -30,6 +32,16 @@ def raise_failure(game: Game) -> None:
     (error,) = game.errors
     if error is not None:
         raise DefenderError(error)
+
+
+def options_text(game: Game) -> str:
+    """The options of a game as they are written in a call: defender, scenes, and every setting; for `repr`."""
+    defender = defenders.DEFENDERS.name_of(game.world.defenders[0])
+    settings = {name: value for name, value in vars(game.settings).items() if value is not None}
+    if "attackers" in settings:
+        del settings["n_attackers"]  # these are counted
+    options = {"defender": defender, "scenes": game.world.bank.source.name, **settings}
+    return ", ".join(f"{name}={shown(value)}" for name, value in options.items())
 
 
 class CollaborativePerceptionEnv(RenderMixin, ParallelEnv[str, Observation, NDArray[Any]]):
@@ -60,6 +72,9 @@ class CollaborativePerceptionEnv(RenderMixin, ParallelEnv[str, Observation, NDAr
         names = self.possible_agents
         self._observation_spaces = {name: copy.deepcopy(self.game.single_observation_space) for name in names}
         self._action_spaces = {name: copy.deepcopy(self.game.single_action_space) for name in names}
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({options_text(self.game)}, render_mode={self.render_mode!r})"
 
     def observation_space(self, agent: str) -> Space[Any]:
         """The observation space of an agent: always the same object. ValueError for an unknown name."""
@@ -108,7 +123,7 @@ class CollaborativePerceptionEnv(RenderMixin, ParallelEnv[str, Observation, NDAr
 
     def _known(self, agent: str) -> str:
         if not isinstance(agent, str) or agent not in self._action_spaces:
-            raise ValueError(f"no agent {agent!r}; the agents are {self.possible_agents}")
+            raise ValueError(f"no agent {shown(agent)}; the agents are {self.possible_agents}")
         return agent
 
     def _stack(self, actions: Any) -> NDArray[Any]:

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from cp_env.envs.core import Game
 from cp_env.rendering.window import Window
+from defenders.registry import shown
 
 RENDER_MODES = ("human", "rgb_array")
 RENDER_FPS = 5  # as many frames as the recordings have a second
@@ -14,8 +15,8 @@ RENDER_FPS = 5  # as many frames as the recordings have a second
 
 def check_render_mode(mode: str | None) -> str | None:
     """The mode itself. ValueError if there is no such mode."""
-    if mode is not None and mode not in RENDER_MODES:
-        raise ValueError(f"render_mode must be None or one of {list(RENDER_MODES)}, got {mode!r}")
+    if mode is not None and not (isinstance(mode, str) and mode in RENDER_MODES):
+        raise ValueError(f"render_mode must be None or one of {list(RENDER_MODES)}, got {shown(mode)}")
     return mode
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from cp_env.metrics.average_precision import average_precision
+from cp_env.metrics.critical import critical_recall
 from cp_env.settings import REWARDS, choose
 from cp_env.world.situation import Outcome
 
@@ -34,7 +35,33 @@ def stealth(outcome: Outcome) -> Float[np.ndarray, " E"]:
     return outcome.damage * unflagged
 
 
-_REWARDS: dict[str, Reward] = {"damage": damage, "ap_drop": ap_drop, "stealth": stealth}
+def critical(outcome: Outcome) -> Float[np.ndarray, " E"]:
+    """Critical recall that the output lost against the clean view, in [-1, 1]; 0 in a frame without a critical vehicle.
+
+    See `cp_env.metrics.critical`.
+    """
+    lost = []
+    for clean, (kept, there), around in zip(outcome.clean, outcome.critical, outcome.surroundings, strict=True):
+        found = critical_recall(clean.seen.boxes, around)[0]
+        lost.append((found - kept) / max(there, 1))
+    return np.array(lost, dtype=np.float32)
+
+
+def targeted(outcome: Outcome) -> Float[np.ndarray, " E"]:
+    """1 in a frame in which the nearest vehicle is removed or a critical ghost spoofed, else 0.
+
+    See `cp_env.metrics.targeted`.
+    """
+    return (outcome.removed | outcome.spoofed).astype(np.float32)
+
+
+_REWARDS: dict[str, Reward] = {
+    "damage": damage,
+    "ap_drop": ap_drop,
+    "stealth": stealth,
+    "critical": critical,
+    "targeted": targeted,
+}
 
 
 def make_reward(reward: str | Reward) -> Reward:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from cp_env.envs.actions.base import real_numbers
 from cp_env.envs.core import Game
 from cp_env.envs.joint import Observation, join, joint_options, joint_space, split, world
-from cp_env.envs.parallel import raise_failure
+from cp_env.envs.parallel import options_text, raise_failure
 from cp_env.envs.render_mixin import RENDER_FPS, RENDER_MODES, RenderMixin
 from cp_env.settings import Options
 from cp_env.world.scene_cache import SceneBank
@@ -44,12 +44,15 @@ class JointAdversaryEnv(RenderMixin, Env[Any, NDArray[Any]]):
         self.action_space = joint_space(self.game.single_action_space, self.n_slots)
         self._running = False
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({options_text(self.game)}, render_mode={self.render_mode!r})"
+
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
         """Begin an episode. With a seed the stream of episodes begins anew; without one it goes on."""
-        super().reset(seed=seed)  # gymnasium's own generator; the world draws from the game's
-        observations, infos = self.game.reset([seed], options=options)
+        observations, infos = self.game.reset([seed], options=options)  # first: it refuses what is no seed
+        super().reset(seed=None if seed is None else int(seed))  # gymnasium's own generator, of which nothing is drawn
         self._running = True
         self._follow()
         return world(join(observations), 0), {key: values[0].copy() for key, values in infos.items()}

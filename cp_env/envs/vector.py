@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Unpack
 
 import numpy as np
@@ -16,11 +16,13 @@ from numpy.typing import NDArray
 from cp_env.envs.actions.base import real_numbers
 from cp_env.envs.core import Game
 from cp_env.envs.joint import Observation, join, joint_options, joint_space, split, world
+from cp_env.envs.parallel import options_text
 from cp_env.envs.render_mixin import RENDER_FPS, RENDER_MODES, check_render_mode
 from cp_env.rendering.window import Window
 from cp_env.settings import Options
 from cp_env.world.scene_cache import SceneBank
 from defenders.protocol import Defender
+from defenders.registry import shown
 
 Infos = dict[str, Any]
 MODES = (AutoresetMode.SAME_STEP, AutoresetMode.DISABLED)
@@ -70,6 +72,10 @@ class JointAdversaryVectorEnv(VectorEnv[Any, NDArray[Any], NDArray[Any]]):
         self._over = np.ones(num_envs, dtype=bool)  # worlds that wait for a reset
         self._begun = False
 
+    def __repr__(self) -> str:
+        options = options_text(self.game)
+        return f"{type(self).__name__}({self.num_envs}, {options}, render_mode={self.render_mode!r})"
+
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, Infos]:
@@ -78,7 +84,9 @@ class JointAdversaryVectorEnv(VectorEnv[Any, NDArray[Any], NDArray[Any]]):
         An integer seeds world e with seed + e; a sequence gives each its own; None lets every world's stream go on.
         """
         seeds = self._seeds(seed)
-        options = dict(options or {})
+        if options is not None and not isinstance(options, Mapping):
+            raise ValueError(f"the options of a reset are a dict, not {type(options).__name__} {shown(options)}")
+        options = {} if options is None else dict(options)
         mask = self._mask(options.pop("reset_mask", None))
         observations, infos = self._begin(mask, [s for s, m in zip(seeds, mask, strict=True) if m], options)
         self._follow()
@@ -152,18 +160,26 @@ class JointAdversaryVectorEnv(VectorEnv[Any, NDArray[Any], NDArray[Any]]):
     def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
         if seed is None:
             return [None] * self.num_envs
-        if isinstance(seed, Sequence):
+        if isinstance(seed, Sequence) and not isinstance(seed, str | bytes):
             if len(seed) != self.num_envs:
                 raise ValueError(f"give one seed a world, {self.num_envs}, or one integer for all; got {len(seed)}")
             return list(seed)
-        return [seed + e for e in range(self.num_envs)]
+        if isinstance(seed, bool) or not isinstance(seed, int | np.integer):
+            raise ValueError(f"give one seed a world, {self.num_envs}, or one integer for all; got {shown(seed)}")
+        return [int(seed) + e for e in range(self.num_envs)]
 
     def _mask(self, mask: Any) -> Bool[np.ndarray, " E"]:
         if mask is None:
             return np.ones(self.num_envs, dtype=bool)
-        mask = np.asarray(mask)
-        if mask.shape != (self.num_envs,) or mask.dtype != bool or not mask.any():
-            raise ValueError(f"reset_mask must be {self.num_envs} booleans, at least one of them True; got {mask!r}")
+        try:
+            array = np.asarray(mask)
+        except Exception:  # whatever an object of others raises, it is no mask
+            array = np.zeros(0)
+        if array.shape != (self.num_envs,) or array.dtype != bool or not array.any():
+            raise ValueError(
+                f"reset_mask must be {self.num_envs} booleans, at least one of them True; got {shown(mask)}"
+            )
+        mask = array
         if not self._begun and not mask.all():
             raise ResetNeeded("reset every world once before you reset some of them")
         return mask
@@ -180,6 +196,6 @@ def _batched(infos: dict[str, NDArray[Any]], mask: Bool[np.ndarray, " E"]) -> In
 def _supported(mode: str | AutoresetMode) -> AutoresetMode:
     known = {supported.value: supported for supported in MODES}
     value = mode.value if isinstance(mode, AutoresetMode) else mode
-    if value not in known:
-        raise ValueError(f"autoreset_mode must be one of {list(known)}, got {value!r}")
+    if not isinstance(value, str) or value not in known:
+        raise ValueError(f"autoreset_mode must be one of {list(known)}, got {shown(value)}")
     return known[value]

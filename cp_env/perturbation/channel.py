@@ -40,4 +40,5 @@ def inject(
     """The received maps with the attackers' warped perturbations added to their rows; differentiable in `warped`."""
     worlds, maps = received.shape[:2]
     rows = torch.arange(worlds, device=attackers.device)[:, None] * maps + attackers
-    return received.flatten(0, 1).index_add(0, rows.flatten(), warped.flatten(0, 1)).unflatten(0, (worlds, maps))
+    added = warped.flatten(0, 1).to(received.dtype)
+    return received.flatten(0, 1).index_add(0, rows.flatten(), added).unflatten(0, (worlds, maps))

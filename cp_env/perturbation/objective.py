@@ -23,7 +23,9 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.nn import functional
 
+from cp_env.detector.model.base import moves_as_ours
 from cp_env.detector.model.decoder import Dense
+from cp_env.detector.model.warp import add_weighted
 from cp_env.detector.protocol import DetectorLike, LinearFusion
 from cp_env.perturbation.channel import inject
 
@@ -142,6 +144,10 @@ def attacked_output(
     one_each = torch.equal(world, torch.arange(len(received), device=world.device))
 
     def linear(delta: Float[Tensor, "E k C H W"]) -> Dense:
+        if moves_as_ours(detector):
+            fused = add_weighted(benign, share, world, delta, ego_T_attacker, detector.extent)
+            if fused is not None:
+                return detector.decode(fused)
         warped = detector.warp(delta, ego_T_attacker)
         return detector.decode(benign + ((warped if one_each else warped[world]) * share).sum(1))
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from typing import Any
 
+from defenders.registry import shown
+
 Absences = Mapping[int, Collection[int]]
 """From the number of a vehicle to the frames of the episode in which its map is not there."""
 
@@ -12,9 +14,11 @@ Absences = Mapping[int, Collection[int]]
 def checked(absent: Any, n_maps: int) -> Absences:
     """The absences, if they name vehicles 1 … n_maps - 1 and frames; else ValueError. The ego is always there."""
     if not isinstance(absent, Mapping) or not all(isinstance(frames, Collection) for frames in absent.values()):
-        raise ValueError(f'"absent" maps vehicles to frames without them, as in {{3: range(10, 20)}}, not {absent!r}')
+        raise ValueError(
+            f'"absent" maps vehicles to frames without them, as in {{3: range(10, 20)}}, not {shown(absent)}'
+        )
     if wrong := [vehicle for vehicle in absent if vehicle not in range(1, n_maps)]:
-        raise ValueError(f'"absent" must name vehicles 1..{n_maps - 1} (the ego is always there), not {wrong}')
+        raise ValueError(f'"absent" must name vehicles 1..{n_maps - 1} (the ego is always there), not {shown(wrong)}')
     return dict(absent)
 
 

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+from functools import cache
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from cp_env.detector.model.base import BaseDetector
+from cp_env.detector.protocol import DetectorLike
 from cp_env.metrics import similarity
 from cp_env.perturbation import channel
 from cp_env.types import View
@@ -17,6 +22,28 @@ from cp_env.world.situation import Situation
 
 Group = frozenset[int]
 Pair = tuple[int, Group]
+
+
+def in_precision(situation: Situation, precision: str) -> Situation:
+    """The same situation under the detector in another precision, for a search that need not be exact.
+
+    Raises:
+        ValueError: the detector does not know that precision.
+    """
+    detector = situation.detector
+    if not isinstance(detector, BaseDetector):
+        raise ValueError(f"detector {type(detector).__name__} knows no precision but its own, not {precision!r}")
+    other = _COPIES.setdefault(detector, {})
+    if precision not in other:
+        other[precision] = detector.with_precision(precision)
+    model = other[precision]
+    receive = cache(lambda: situation.received.to(model.dtype))
+    whole: DetectorLike = model  # type: ignore[assignment]  # as whole as the situation's
+    return replace(situation, detector=whole, receive=receive)
+
+
+_COPIES: WeakKeyDictionary[BaseDetector, dict[str, BaseDetector]] = WeakKeyDictionary()
+"""Of each detector those in another precision: a copy a frame would take longer than it saves."""
 
 
 @torch.no_grad()
@@ -37,7 +64,7 @@ def views_under(situation: Situation, delta: Float[Tensor, "E k C H W"], pairs: 
     groups = torch.zeros(len(pairs), situation.fused.shape[1], dtype=torch.bool)
     for row, (_, group) in zip(groups, pairs, strict=True):
         row[sorted(group)] = True
-    worlds, device = [e for e, _ in pairs], situation.received.device
+    worlds, device = [e for e, _ in pairs], situation.device
     world = torch.tensor(worlds, dtype=torch.long, device=device)
     dense = situation.ego_detector().perceive(attacked, situation.coverage, world, groups.to(device))
     frames, places = situation.frame[worlds].tolist(), list(situation.place[worlds])

@@ -12,9 +12,10 @@ from jaxtyping import Float, Float16, Shaped
 from torch import Tensor
 
 from cp_env.detector.model.decoder import Dense
-from cp_env.detector.protocol import DetectorLike
+from cp_env.detector.protocol import DetectorLike, dtype_of
 from cp_env.geometry.planar import grid_origin
 from cp_env.types import Scene, View
+from cp_env.world import received
 from cp_env.world.map_store import BLOCK, MapStore
 from cp_env.world.per_frame import PerFrame
 
@@ -60,7 +61,7 @@ class Episode:
 
     def maps(self, name: str, frame: int) -> Float[Tensor, "N C H W"]:
         """`features` or `received` of one frame, single precision, on the CPU."""
-        return stack_maps([(self, frame)], name)[0].cpu()
+        return stack_maps([(self, frame)], name)[0].float().cpu()
 
     def encode(self) -> None:
         """Encode now every frame that is not stored, for whoever plays the scene later."""
@@ -70,45 +71,49 @@ class Episode:
                 self.store.ego_context(self.scene, frame)
 
 
-def stack_maps(places: Sequence[tuple[Episode, int]], name: str) -> Float[Tensor, "E N C H W"]:
-    """Single-precision maps of E (episode, frame).
+def stack_maps(
+    places: Sequence[tuple[Episode, int]], name: str, out: Float[Tensor, "E N C H W"] | None = None
+) -> Float[Tensor, "E N C H W"]:
+    """Maps of E (episode, frame), on the detector's device.
 
     Args:
         places: the episodes and frames; all with the same N.
-        name: "features", f_E of each sweep in the sender's grid frame, on the CPU; or "received", the same warped to
-            the ego frame, on the detector's device.
+        name: "features", f_E of each sweep in the sender's grid frame; or "received", the same warped to the ego frame.
+        out: where to write them; a new tensor by default, nobody else's.
 
     Returns:
-        New tensors, nobody else's.
+        `out`.
     """
     if name not in ("features", "received"):
         raise ValueError(f'maps are "features" or "received", not {name!r}')
+    stacked = empty_maps(places) if out is None else out
     first, n_maps = places[0][0].store.detector, len(places[0][0].agents)
-    device = first.device if name == "received" else torch.device("cpu")
-    stacked = torch.empty(len(places), n_maps, first.channels, first.size, first.size, device=device)
-    for rows, (episode, frame) in zip(stacked, places, strict=True):
-        maps = episode.store.maps(episode.scene, episode.agents, frame)
-        if name == "features":
-            widen(maps, rows)
-        else:
-            rows.copy_(warp_frame(episode.store.detector, maps, episode.ego_T_sender[frame]))
+    read = (episode.store.maps(episode.scene, episode.agents, frame) for episode, frame in places)
+    maps = [torch.from_numpy(one) for of_frame in read for one in of_frame]
+    if name == "received":
+        poses = torch.cat([episode.ego_T_sender[frame] for episode, frame in places])
+        received.write(first, stacked.flatten(0, 1), range(len(maps)), maps, poses, together=n_maps)
+    else:
+        for row, one in zip(stacked.flatten(0, 1), maps, strict=True):
+            row.copy_(one)
     return stacked
 
 
-def widen(maps: Sequence[Float16[np.ndarray, "C H W"]], rows: Float[Tensor, "N C H W"]) -> Float[Tensor, "N C H W"]:
-    """Write half-precision maps to single-precision rows, each straight to its place."""
-    for row, one in zip(rows, maps, strict=True):
-        row.copy_(torch.from_numpy(one))
-    return rows
+def empty_maps(places: Sequence[tuple[Episode, int]]) -> Float[Tensor, "E N C H W"]:
+    """Room for the maps of E (episode, frame), on the detector's device."""
+    detector, n_maps = places[0][0].store.detector, len(places[0][0].agents)
+    shape = (len(places), n_maps, detector.channels, detector.size, detector.size)
+    return torch.empty(shape, device=detector.device, dtype=dtype_of(detector))
 
 
 @torch.no_grad()
 def warp_frame(
     detector: DetectorLike, maps: Sequence[Float16[np.ndarray, "C H W"]], ego_T_sender: Float[Tensor, "N 3"]
 ) -> Float[Tensor, "N C H W"]:
-    """One frame's maps in the ego frame, on the detector's device: warped alone, so that no neighbour changes a bit."""
-    rows = widen(maps, torch.empty(len(maps), *maps[0].shape))
-    return detector.warp(rows.to(detector.device), ego_T_sender.to(detector.device))
+    """One frame's maps in the ego frame, on the detector's device."""
+    rows = torch.empty(len(maps), *maps[0].shape, device=detector.device, dtype=dtype_of(detector))
+    received.write(detector, rows, range(len(maps)), [torch.from_numpy(one) for one in maps], ego_T_sender)
+    return rows
 
 
 def stack_ego_context(

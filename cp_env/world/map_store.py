@@ -24,7 +24,7 @@ from jaxtyping import Float16, Shaped
 from tqdm import tqdm
 
 from cp_env.detector.protocol import DetectorLike, UsesEgoSweep
-from cp_env.paths import cache_limit
+from cp_env.paths import cache_limit, room_in_memory
 from cp_env.scenes.errors import BrokenData
 from cp_env.types import Endless, Scene, SceneSource, Sweep
 from cp_env.world import cache_folder
@@ -34,8 +34,8 @@ from cp_env.world.packing import pack_array, pack_map, unpack_array, unpack_map
 BLOCK = 5
 """Frames encoded together: few, because the first of them is waited for; a longer block is hardly faster a frame."""
 
-MEMORY = 2**27
-"""Bytes of maps that stay unpacked in memory: a hundred frames of five vehicles."""
+MEMORY = room_in_memory()
+"""Bytes of maps that stay unpacked in memory. A hundred frames of five vehicles take 131 MB."""
 
 UNSEEN = 50 * 10**6
 """Bytes that may be written before the folder's size is looked at again: by so much a process may exceed the bound."""

@@ -13,7 +13,7 @@ from cp_env.world import absence
 from cp_env.world.absence import Absences
 from cp_env.world.scene_cache import SceneBank
 from cp_env.world.streams import PUBLIC_KEY, Stream
-from defenders.registry import unknown
+from defenders.registry import shown, unknown
 
 Seed = int | np.random.SeedSequence | None
 ResetOptions = Mapping[str, Any] | Sequence[Mapping[str, Any] | None] | None
@@ -41,14 +41,14 @@ def options_of(options: object, n_worlds: int) -> list[Mapping[str, Any]]:
     if options is None or isinstance(options, Mapping):
         each: list[Any] = [options] * n_worlds
     elif isinstance(options, Sequence) and not isinstance(options, str | bytes):
-        each = list(options)
+        each = list(options[: n_worlds + 1])
     else:
-        raise ValueError(f"the options of a reset are a dict, not {type(options).__name__} {options!r:.80}")
+        raise ValueError(f"the options of a reset are a dict, not {type(options).__name__} {shown(options)}")
     if len(each) != n_worlds:
-        raise ValueError(f"give options once for all worlds, or once for each of {n_worlds}; got {len(each)}")
+        raise ValueError(f"give options once for all worlds, or once for each of {n_worlds}; got {shown(options)}")
     for one in each:
         if not isinstance(one, Mapping | None):
-            raise ValueError(f"the options of a reset are a dict, not {type(one).__name__} {one!r:.80}")
+            raise ValueError(f"the options of a reset are a dict, not {type(one).__name__} {shown(one)}")
         for key in one or ():
             if key not in (*KEYS, IGNORED):
                 raise unknown("option of reset", key, KEYS)
@@ -68,13 +68,13 @@ def plan_episode(
     drawn = names[scene_rng.integers(len(names))]  # even where it is not used: the start below is the same then
     scene = options.get("scene", drawn)
     if not isinstance(scene, str):
-        raise ValueError(f'"scene" is the name of a scene, not {scene!r:.80}')
+        raise ValueError(f'"scene" is the name of a scene, not {shown(scene)}')
     if scene not in names and not bank.endless:
         raise unknown("scene", scene, names)
     n_frames = bank.episode(scene, settings.n_vehicles, settings.rsu).scene.n_frames
     start = options.get("start", scene_rng.integers(max(n_frames - settings.max_frames, 0) + 1))
     if isinstance(start, bool) or not isinstance(start, int | np.integer) or not 0 <= start < n_frames:
-        raise ValueError(f"start must be a frame of scene {scene!r}, 0 to {n_frames - 1}, not {start!r:.80}")
+        raise ValueError(f"start must be a frame of scene {scene!r}, 0 to {n_frames - 1}, not {shown(start)}")
     chosen: Sequence[int] = settings.attackers or ()
     if settings.attackers is None:
         chosen = attacker_rng.choice(settings.n_vehicles, settings.k, replace=False).tolist()

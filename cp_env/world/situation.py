@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,11 @@ from torch import Tensor
 
 from cp_env.detector.model.decoder import Dense
 from cp_env.detector.protocol import DetectorLike, with_ego_context
-from cp_env.types import View, frozen
+from cp_env.metrics.critical import critical_recall
+from cp_env.metrics.severity import ghost_severity, miss_severity
+from cp_env.metrics.surroundings import Surroundings, frozen_scene, surroundings
+from cp_env.metrics.targeted import removable, removed, spoofed
+from cp_env.types import Scene, View, frozen
 from cp_env.world.episode import Episode
 from cp_env.world.verification import Judgement
 from defenders.protocol import Verdict
@@ -32,10 +37,10 @@ class Situation:
     """
 
     features: Callable[[], Float[Tensor, "E N C H W"]]  # encoded maps, sender frames; read on demand
-    received: Float[Tensor, "E N C H W"]  # the same in the ego frame, before any perturbation
+    receive: Callable[[], Float[Tensor, "E N C H W"]]  # see `received`
     coverage: Float[Tensor, "E N H W"]
     ego_T_sender: Float[Tensor, "E N 3"]  # m, m, rad
-    clean: Dense  # the decoder's output with everyone fused and no attack
+    perceive_clean: Callable[[], Dense]  # see `clean`
     attackers: Int[Tensor, "E k"]
     fused: Bool[Tensor, "E N"]  # expected collaborators: all, until a verdict that has converged leaves some out
     present: Bool[Tensor, "E N"]  # vehicles that send a map; perturbations of others are dropped
@@ -50,16 +55,43 @@ class Situation:
     simulate: Callable[[Float[Tensor, "E k C H W"], Sequence[np.random.Generator]], SimulatedOutcome]
     ego_context: Shaped[Tensor, "E ..."] | None = None  # of the egos, if the detector uses it
 
-    def handed_out(self) -> Situation:
-        """The same with copies of all tensors and arrays: what an attack does to them changes nothing here."""
-        copies: dict[str, Any] = {}
+    @property
+    def received(self) -> Float[Tensor, "E N C H W"]:
+        """All maps in the ego frame, before any perturbation; read when they are first asked for."""
+        return self.receive()
+
+    @property
+    def clean(self) -> Dense:
+        """The decoder's output with everyone fused and no attack; read when it is first asked for."""
+        return self.perceive_clean()
+
+    @property
+    def device(self) -> torch.device:
+        """Where maps and perturbations are."""
+        return self.coverage.device
+
+    @property
+    def delta_shape(self) -> tuple[int, int, int, int, int]:
+        """[E, k, C, H, W]: the shape of δ."""
+        (worlds, k), size = self.attackers.shape, self.coverage.shape[-1]
+        return worlds, k, self.detector.channels, size, size
+
+    def handed_out(
+        self, receive: Callable[[], Float[Tensor, "E N C H W"]], perceive_clean: Callable[[], Dense]
+    ) -> Situation:
+        """The same with copies of all tensors and arrays: what an attack does to them changes nothing here.
+
+        Args:
+            receive: gives the maps in the ego frame, nobody else's.
+            perceive_clean: gives the clean output, nobody else's.
+        """
+        copies: dict[str, Any] = {"receive": receive, "perceive_clean": perceive_clean}
         for one in fields(self):
             value = getattr(self, one.name)
             if isinstance(value, Tensor):
                 copies[one.name] = value.clone()
             elif isinstance(value, np.ndarray):
                 copies[one.name] = value.copy()
-        copies["clean"] = Dense(self.clean.logits.clone(), self.clean.boxes.clone())
         copies["output"] = tuple(view and view.twin() for view in self.output)
         copies["verdict"] = tuple(verdict and copy.copy(verdict) for verdict in self.verdict)
         return replace(self, **copies)
@@ -117,10 +149,78 @@ class Outcome(SimulatedOutcome):
 
     truth: tuple[Float[np.ndarray, "_ 5"], ...]  # every vehicle in range, seen or hidden; ego frame
     seconds: float = 0.0  # what the step took for all worlds: perceiving and defending, not attacking
+    traffic: tuple[tuple[Scene, int, float], ...] = ()  # scene, its frame, reach of the map; m
 
     def __post_init__(self) -> None:
         super().__post_init__()
         object.__setattr__(self, "truth", tuple(frozen(boxes) for boxes in self.truth))
+        traffic = tuple((frozen_scene(scene), frame, extent) for scene, frame, extent in self.traffic)
+        object.__setattr__(self, "traffic", traffic)
+
+    @cached_property
+    def surroundings(self) -> tuple[Surroundings, ...]:
+        """The true traffic round each ego, with velocities and the ego's corridor; computed when it is asked for.
+
+        Raises:
+            ValueError: the outcome was made by hand, without `traffic`.
+        """
+        if len(self.traffic) != len(self.truth):
+            raise ValueError(
+                "driving measures need the outcome's `traffic`: give (scene, frame, extent) for each world"
+            )
+        return tuple(copy.copy(surroundings(scene, frame, extent)) for scene, frame, extent in self.traffic)
+
+    @cached_property
+    def critical(self) -> Int[np.ndarray, "E 2"]:
+        """How many critical vehicles the output finds, and how many there are; see `metrics.critical`."""
+        return self._driving(critical_recall, np.int64)
+
+    @cached_property
+    def miss_severity(self) -> Float[np.ndarray, " E"]:
+        """The hardest braking that a vehicle demands which the output misses; m/s². See `metrics.severity`."""
+        return self._driving(lambda boxes, around: miss_severity(boxes, around).max(initial=0.0), np.float64)
+
+    @cached_property
+    def ghost_severity(self) -> Float[np.ndarray, " E"]:
+        """The hardest braking that a ghost of the output demands; m/s²."""
+        return self._driving(ghost_severity, np.float64)
+
+    @cached_property
+    def removable(self) -> Bool[np.ndarray, " E"]:
+        """Whether the nearest vehicle is found in the clean view; see `metrics.targeted`."""
+        pairs = zip(self.clean, self.surroundings, strict=True)
+        return frozen(np.array([removable(clean.seen.boxes, around) for clean, around in pairs]))
+
+    @cached_property
+    def removed(self) -> Bool[np.ndarray, " E"]:
+        """Whether it is, and is missing in the output."""
+        return self._targeted(removed)
+
+    @cached_property
+    def spoofed(self) -> Bool[np.ndarray, " E"]:
+        """Whether the output holds a critical ghost that the clean view does not hold."""
+        return self._targeted(spoofed)
+
+    @property
+    def decodes(self) -> Int[np.ndarray, " E"]:
+        """How many groups were perceived: everyone, those asked, and the output's; each once."""
+        return np.array(
+            [
+                len({seen.group, judgement.output.group, *(group & seen.group for group in judgement.groups)})
+                for seen, judgement in zip(self.seen, self.judgements, strict=True)
+            ]
+        )
+
+    def _driving(self, measure: Callable[..., Any], kind: type) -> np.ndarray:
+        """A measure of the boxes that each ego acts on, in its traffic."""
+        pairs = zip(self.output, self.surroundings, strict=True)
+        return frozen(np.array([measure(output.seen.boxes, around) for output, around in pairs], dtype=kind))
+
+    def _targeted(self, success: Callable[..., bool]) -> Bool[np.ndarray, " E"]:
+        both = zip(self.output, self.clean, self.surroundings, strict=True)
+        return frozen(
+            np.array([success(output.seen.boxes, clean.seen.boxes, around) for output, clean, around in both])
+        )
 
 
 FRAME_METRICS: dict[str, Callable[[Outcome], Float[np.ndarray, " E"]]] = {
@@ -132,6 +232,13 @@ FRAME_METRICS: dict[str, Callable[[Outcome], Float[np.ndarray, " E"]]] = {
     "collaborators": lambda outcome: np.array([len(verdict.collaborators) for verdict in outcome.verdicts]),
     "converged": lambda outcome: np.array([verdict.converged for verdict in outcome.verdicts]),
     "failed": lambda outcome: np.array([error is not None for error in outcome.errors]),
+    "decodes": lambda outcome: outcome.decodes,
+    "critical": lambda outcome: outcome.critical[:, 1],
+    "critical_missed": lambda outcome: outcome.critical[:, 1] - outcome.critical[:, 0],
+    "miss_severity": lambda outcome: outcome.miss_severity,
+    "ghost_severity": lambda outcome: outcome.ghost_severity,
+    "removed": lambda outcome: outcome.removed,
+    "spoofed": lambda outcome: outcome.spoofed,
 }
 """One number a world and frame. Infos, observations and records read an outcome through this table."""
 
@@ -139,16 +246,16 @@ FRAME_METRICS: dict[str, Callable[[Outcome], Float[np.ndarray, " E"]]] = {
 def clean_output(
     places: Sequence[tuple[Episode, int]],
     detector: DetectorLike,
-    received: Float[Tensor, "E N C H W"],
+    receive: Callable[[], Float[Tensor, "E N C H W"]],
     coverage: Float[Tensor, "E N H W"],
     present: Bool[Tensor, "E N"],
 ) -> Dense:
     """The decoder's output without an attack. With everyone present it was stored; else it is perceived anew."""
-    logits = torch.stack([episode.clean.logits[t] for episode, t in places]).float().to(received.device)
-    boxes = torch.stack([episode.clean.boxes[t] for episode, t in places]).float().to(received.device)
+    logits = torch.stack([episode.clean.logits[t] for episode, t in places]).float().to(coverage.device)
+    boxes = torch.stack([episode.clean.boxes[t] for episode, t in places]).float().to(coverage.device)
     few = torch.nonzero(~present.all(1)).flatten()
     if len(few):
         with torch.inference_mode():
-            dense = detector.perceive(received, coverage, few, present[few])
+            dense = detector.perceive(receive(), coverage, few, present[few])
         logits[few], boxes[few] = dense.logits.clone(), dense.boxes.clone()
     return Dense(logits, boxes)

@@ -12,6 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from defenders.registry import shown
+
 PUBLIC_KEY = "cp_env"
 """The key where none is set."""
 
@@ -38,7 +40,7 @@ class Stream:
         if isinstance(seed, np.random.SeedSequence):
             return cls((*_words(seed.entropy), -1, *seed.spawn_key))
         if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
-            raise ValueError(f"a seed is a whole number >= 0, not {seed!r:.80}")
+            raise ValueError(f"a seed is a whole number >= 0, not {shown(seed)}")
         return cls((int(seed),))
 
     def next(self) -> Stream:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 import numpy as np
 import torch
 from jaxtyping import Float
@@ -9,44 +12,67 @@ from torch import Tensor
 
 from cp_env.perturbation import channel
 from cp_env.settings import Settings
+from cp_env.world import received
 from cp_env.world.situation import Situation
 
 PLAIN = (Tensor, torch.nn.Parameter)
 """The types that δ may have: a subclass may answer `clamp` and `abs` as it likes."""
+
 ROUNDING = 1e-5
 """Share of Δ by which single precision may exceed it after the projection."""
 
+TOGETHER = {"cpu": 2}
+"""Perturbations that are checked and added in one go, by kind of device: as many as stay in a core's own cache. All of
+them elsewhere."""
 
-def transmit(
-    situation: Situation, delta: object, settings: Settings
-) -> tuple[Float[Tensor, "E N C H W"], Float[np.ndarray, "E k"]]:
-    """What the ego receives if the attackers add δ to their maps.
+
+def transmit(situation: Situation, delta: object, settings: Settings) -> Float[np.ndarray, "E k"]:
+    """Add δ to the attackers' maps in `situation.received`, moved to the ego's frame; all other maps stay.
 
     Args:
-        situation: the world's own, before anyone acts.
+        situation: the world's own, before anyone acts; its maps are overwritten, even if this fails.
         delta: [E, k, C, H, W], in the senders' frames; larger ones are projected onto the ball.
         settings: budget and norm are read here and nowhere else: what was handed out does not count.
 
     Returns:
-        All maps in the ego's frame, and ‖δ‖ of what was sent [E, k].
+        ‖δ‖ of what was sent.
 
     Raises:
         ValueError: δ is no plain tensor, has the wrong shape, is not finite, or is not in the ball after projection.
     """
-    plain = _plain(delta, (*situation.attackers.shape, *situation.received.shape[2:])).to(situation.received.device)
-    sent = channel.norm_of(plain, settings.norm)
-    if not bool(torch.isfinite(sent).all()):
+    maps, attackers = situation.received, situation.attackers
+    plain = _plain(delta, (*attackers.shape, *maps.shape[2:])).to(maps.device)
+    if not all(bool(torch.isfinite(channel.norm_of(one, settings.norm)).all()) for one in _together(plain)):
         raise ValueError("a perturbation must be finite, but it holds NaN or infinity; check the attack")
-    active = situation.active[:, None] & situation.present.gather(1, situation.attackers)
-    if not bool((sent * active).any()):
-        return situation.received, torch.zeros_like(sent).cpu().numpy()
-    bounded = channel.project(plain, settings.budget, settings.norm) * active[..., None, None, None]
-    norms = channel.norm_of(bounded, settings.norm)
-    if not bool((norms <= settings.budget * (1 + ROUNDING)).all()):
-        raise ValueError(f"‖δ‖ must be at most Δ = {settings.budget}, not {float(norms.max())}; it was not sent")
-    index = situation.attackers[..., None].expand(-1, -1, 3)
-    warped = situation.detector.warp(bounded, situation.ego_T_sender.gather(1, index))
-    return channel.inject(situation.received, warped, situation.attackers), norms.cpu().numpy()
+    norms = torch.zeros(attackers.shape, device=maps.device)
+    sending = torch.nonzero(situation.active[:, None] & situation.present.gather(1, attackers))
+    for part in _together(sending):
+        world, slot = part.unbind(1)
+        vehicle, mine = attackers[world, slot], plain[world, slot]  # a copy: nobody else can change it any more
+        bounded = channel.project(mine, settings.budget, settings.norm)
+        sent = channel.norm_of(bounded, settings.norm)
+        if not bool((sent <= settings.budget * (1 + ROUNDING)).all()):
+            raise ValueError(f"‖δ‖ must be at most Δ = {settings.budget}, not {float(sent.max())}; it was not sent")
+        norms[world, slot] = sent
+        rows = (world * maps.shape[1] + vehicle).tolist()
+        received.add(situation.detector, maps.flatten(0, 1), rows, bounded, situation.ego_T_sender[world, vehicle])
+    return norms.cpu().numpy()
+
+
+@contextmanager
+def unperturbed_after(situation: Situation) -> Iterator[None]:
+    """Put the attackers' maps back as they were, whatever was added to them meanwhile."""
+    worlds = torch.arange(len(situation.attackers), device=situation.attackers.device)[:, None]
+    before = situation.received[worlds, situation.attackers]
+    try:
+        yield
+    finally:
+        situation.received[worlds, situation.attackers] = before
+
+
+def _together(rows: Tensor) -> tuple[Tensor, ...]:
+    """The rows in parts that are worked on in one go."""
+    return rows.split(TOGETHER.get(rows.device.type, max(len(rows), 1)))
 
 
 def _plain(delta: object, shape: tuple[int, ...]) -> Tensor:

@@ -6,6 +6,7 @@ import copy
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, Unpack
 
@@ -15,6 +16,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 import defenders
+from cp_env.detector.model.decoder import Dense
 from cp_env.detector.protocol import DetectorLike, fusion_of, with_ego_context
 from cp_env.detector.registry import open_detector
 from cp_env.metrics import similarity
@@ -23,14 +25,16 @@ from cp_env.settings import WORLD_DEFAULTS, Options, Settings
 from cp_env.types import SceneSource, View
 from cp_env.world import absence
 from cp_env.world.absence import Absences
-from cp_env.world.episode import Episode, ego_place, make_views, stack_ego_context, stack_maps
+from cp_env.world.episode import Episode, ego_place, empty_maps, make_views, stack_ego_context, stack_maps
 from cp_env.world.reset import EpisodePlan, ResetOptions, Seed, options_of, plan_episode
 from cp_env.world.scene_cache import SceneBank
 from cp_env.world.situation import Clock, Outcome, SimulatedOutcome, Situation, clean_output
 from cp_env.world.streams import PUBLIC_KEY, Stream
-from cp_env.world.transmission import transmit
+from cp_env.world.transmission import transmit, unperturbed_after
 from cp_env.world.verification import DefenderError, Frame, Judgement, Pair, judge
 from defenders.protocol import Defender, Informed, Verdict
+
+Receive = Callable[[], Float[Tensor, "E N C H W"]]
 
 
 def open_bank(
@@ -40,9 +44,10 @@ def open_bank(
     detector: str | DetectorLike,
     checkpoint: str | Path | None,
     device: str,
+    precision: str,
 ) -> SceneBank:
     """The bank of the named scenes under the named detector; see `open_source` and `open_detector`."""
-    model = open_detector(detector, fusion=fusion, checkpoint=checkpoint, device=device)
+    model = open_detector(detector, fusion=fusion, checkpoint=checkpoint, device=device, precision=precision)
     return SceneBank(open_source(scenes), model)
 
 
@@ -78,8 +83,8 @@ class World:
     Args:
         num_envs: E, worlds stepped together.
         defender: a name, an object (copied for every world) or a function that makes one.
-        bank: encoded scenes with their source and detector, instead of the options `scenes`, `detector`, `checkpoint`
-            and `device`.
+        bank: encoded scenes with their source and detector, instead of the options `scenes`, `detector`, `checkpoint`,
+            `device` and `precision`.
         settings: the options of `cp_env.parallel_env`, checked; the defaults if it is left out.
         clock: measures what a step takes, in seconds.
         key: of the random streams (see `cp_env.world.streams`); a benchmark that hides its episodes sets its own.
@@ -116,10 +121,11 @@ class World:
             state.defender.configure(fusion=fusion_of(self.detector, self.settings.fusion))
         self._everyone = frozenset(range(self.settings.n_maps))
         self._situation: Situation | None = None
+        self._maps: Float[Tensor, "E N C H W"] | None = None  # room for the maps of the current frame
         self._clock, self._key = clock, key
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_situation": None}  # rebuilt from the bank
+        return {**self.__dict__, "_situation": None, "_maps": None}  # rebuilt from the bank
 
     # -- episodes ------------------------------------------------------------------------------------------------
 
@@ -216,27 +222,27 @@ class World:
 
     def features(self) -> Float[Tensor, "E N C H W"]:
         """Every vehicle's encoded map of the current frame, in its own grid frame."""
-        return stack_maps(self.places, "features").to(self.device)
+        return stack_maps(self.places, "features")
 
     def situation(self) -> Situation:
         """The current frame before anyone acts, for an attack: copies, so nothing done to them changes the world."""
-        return self.current().handed_out()
+        own = self.current()
+        receive = cache(partial(stack_maps, self.places, "received"))
+        return own.handed_out(receive, self._clean_output(receive, own.coverage.clone(), own.present.clone()))
 
     def current(self) -> Situation:
         """The current frame before anyone acts, computed once a frame: the world's own, not to be handed out."""
         if self._situation is None:
             places = self.places
-            received = stack_maps(places, "received").to(self.device)
+            receive = cache(partial(self._receive, places))
             coverage = torch.stack([ep.coverage[t] for ep, t in places]).to(self.device)
             present = torch.from_numpy(self._rows(self._present())).to(self.device)
-            ego_context = stack_ego_context(places, self.device)
-            detector = with_ego_context(self.detector, ego_context)
             self._situation = Situation(
                 features=self.features,
-                received=received,
+                receive=receive,
                 coverage=coverage,
                 ego_T_sender=torch.stack([ep.ego_T_sender[t] for ep, t in places]).to(self.device),
-                clean=clean_output(places, detector, received, coverage, present),
+                perceive_clean=self._clean_output(receive, coverage, present),
                 attackers=torch.from_numpy(self.attackers).to(self.device),
                 fused=torch.from_numpy(self._expected()).to(self.device),
                 present=present,
@@ -249,52 +255,76 @@ class World:
                 output=tuple(s.output for s in self._worlds),
                 verdict=tuple(s.verdict for s in self._worlds),
                 simulate=self._simulate,
-                ego_context=ego_context,
+                ego_context=stack_ego_context(places, self.device),
             )
         return self._situation
+
+    def _clean_output(
+        self, receive: Receive, coverage: Float[Tensor, "E N H W"], present: Bool[Tensor, "E N"]
+    ) -> Callable[[], Dense]:
+        """Gives the decoder's output of this frame without an attack, computed once."""
+        places = self.places
+        detector = with_ego_context(self.detector, stack_ego_context(places, self.device))
+        return cache(partial(clean_output, places, detector, receive, coverage, present))
+
+    def _receive(self, places: Sequence[tuple[Episode, int]]) -> Float[Tensor, "E N C H W"]:
+        """The maps of the current frame in the ego frame, where those of the frame before were."""
+        if self._maps is None:
+            self._maps = empty_maps(places)
+        return stack_maps(places, "received", self._maps)
 
     def step(self, delta: Float[Tensor, "E k C H W"]) -> Outcome:
         """Play one frame: transmit F_i + δ_i, fuse and decode (Eq. 1), let the defenders judge.
 
         Raises ValueError if δ has the wrong shape or is not finite. A larger δ than the budget allows is projected.
         """
-        self.current()  # what a frame's first visit encodes is no time of the defence
+        situation = self.current()
+        situation.receive()  # what a frame's first visit encodes is no time of the defence
         start = self._clock()
         truth = tuple(episode.truth[t] for episode, t in self.places)
-        played = self._play(delta, self.defenders)
+        traffic = tuple((episode.scene, t, self.detector.extent) for episode, t in self.places)
+        try:
+            played = self._play(situation, delta, self.defenders)
+        finally:
+            self._situation = None  # the perturbations were added to its maps
         self._advance(played)
         seconds = self._clock() - start
-        return Outcome(**vars(played), truth=truth, seconds=seconds)
+        return Outcome(**vars(played), truth=truth, seconds=seconds, traffic=traffic)
 
     def _simulate(self, delta: Float[Tensor, "E k C H W"], rngs: Sequence[np.random.Generator]) -> SimulatedOutcome:
         """See `Situation.simulate`."""
         if len(rngs) != self.num_envs:
             raise ValueError(f"one generator a world is needed: {self.num_envs} worlds, {len(rngs)} generators")
-        played = self._play(delta, [s.with_rng(own) for s, own in zip(self._worlds, rngs, strict=True)])
+        situation, defenders = self.current(), [s.with_rng(r) for s, r in zip(self._worlds, rngs, strict=True)]
+        with unperturbed_after(situation):
+            played = self._play(situation, delta, defenders)
         return replace(played, clean=tuple(view.twin() for view in played.clean))  # the bank's views stay its own
 
-    def _play(self, delta: Float[Tensor, "E k C H W"], defenders: Sequence[Defender]) -> SimulatedOutcome:
-        situation = self.current()
+    def _play(
+        self, situation: Situation, delta: Float[Tensor, "E k C H W"], defenders: Sequence[Defender]
+    ) -> SimulatedOutcome:
         with torch.inference_mode():
-            attacked, norms = transmit(situation, delta, self.settings)
-            perceive = self._perceiver(attacked, situation)
+            clean = self._clean(situation)  # before anything is added to the maps
+            norms = transmit(situation, delta, self.settings)
+            perceive = self._perceiver(situation)
             seen = perceive(list(enumerate(self._present())))
             states = zip(self._worlds, seen, strict=True)
             frames = [Frame(s.frame, self.settings.n_maps, view, s.output) for s, view in states]
-            return self._outcome(frames, judge(frames, defenders, perceive), norms, self._clean(situation))
+            return self._outcome(frames, judge(frames, defenders, perceive), norms, clean)
 
-    def _perceiver(
-        self, attacked: Float[Tensor, "E N C H W"], situation: Situation
-    ) -> Callable[[list[Pair]], list[View]]:
-        """The one masked forward that answers any list of (world, group)."""
+    def _perceiver(self, situation: Situation) -> Callable[[list[Pair]], list[View]]:
+        """The one masked forward that answers any list of (world, group), of the maps as they are when it is asked."""
+
+        places = [ego_place(episode.scene, t) for episode, t in self.places]
 
         def perceive(pairs: list[Pair]) -> list[View]:
             world = torch.tensor([e for e, _ in pairs], device=self.device)
             groups = torch.from_numpy(self._rows([group for _, group in pairs]))
-            dense = situation.ego_detector().perceive(attacked, situation.coverage, world, groups.to(self.device))
-            states = [self._worlds[e] for e, _ in pairs]
-            places = [ego_place(self._episode(s).scene, self._now(s)) for s in states]
-            return make_views(self.detector, dense, [g for _, g in pairs], [s.frame for s in states], places)
+            dense = situation.ego_detector().perceive(
+                situation.received, situation.coverage, world, groups.to(self.device)
+            )
+            frames = [self._worlds[e].frame for e, _ in pairs]
+            return make_views(self.detector, dense, [g for _, g in pairs], frames, [places[e] for e, _ in pairs])
 
         return perceive
 
@@ -302,7 +332,7 @@ class World:
         """The unattacked views of all present; the bank holds those of frames with everyone."""
         views = [episode.clean_views[t] for episode, t in self.places]
         few = [pair for pair in enumerate(self._present()) if pair[1] < self._everyone]
-        seen = self._perceiver(situation.received, situation)(few) if few else []
+        seen = self._perceiver(situation)(few) if few else []
         for (e, _), view in zip(few, seen, strict=True):
             views[e] = view
         return tuple(views)
@@ -338,4 +368,3 @@ class World:
             state.output, state.verdict, state.error = judgement.output, judgement.verdict, judgement.error
             if not over:
                 state.frame += 1
-        self._situation = None

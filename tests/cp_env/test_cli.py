@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
+import sys
 from pathlib import Path
 
 import pytest
 from PIL import Image
 
 import cp_env
-from cp_env.cli import main
+from cp_env.cli import SUMMARY, main
 from cp_env.detector import load_detector
 from cp_env.scenes.export import export
 from cp_env.world.scene_cache import SceneBank
@@ -19,6 +20,42 @@ from tests.helpers.toy_scenes import ToySource
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     main(["version"])
     assert capsys.readouterr().out == f"{cp_env.__version__}\n"
+
+
+def test_help_lists_commands_as_they_are_typed(capsys: pytest.CaptureFixture[str]) -> None:
+    """Every line of the help is a command that takes --help."""
+    main(["--version"])
+    assert capsys.readouterr().out == f"{cp_env.__version__}\n"
+    main(["--help"])
+    listed = [
+        line.split("  ")[2].removeprefix("cp-env ")
+        for line in capsys.readouterr().out.splitlines()[4:]
+        if "    cp-env" in line
+    ]
+    assert listed == list(SUMMARY) and "scenes preview" in listed
+    for command in listed:
+        with pytest.raises(SystemExit, match="0"):
+            main([*command.split(), "--help"])
+        assert f"usage: cp-env {command}" in " ".join(capsys.readouterr().out.split())
+    main([])
+    assert "usage: cp-env COMMAND" in capsys.readouterr().out
+    with pytest.raises(SystemExit, match=r"unknown command 'scens' .did you mean 'scenes'"):
+        main(["scens"])
+
+
+def test_classes_in_the_current_folder_are_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As `python` itself does: a console script begins elsewhere."""
+    (tmp_path / "mine_in_a_folder.py").write_text(
+        "from tests.helpers.toy_scenes import ToySource\n\nclass Mine(ToySource):\n    pass\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.path", [entry for entry in sys.path if entry])
+    main(["scenes", "--source", "mine_in_a_folder:Mine:n_frames=3"])
+    assert "toy-0" in capsys.readouterr().out
+    main(["scenes", "preview", "mine_in_a_folder:Mine:n_frames=3", "--every", "1"])
+    assert (tmp_path / "preview.gif").exists()
 
 
 def test_scenes_lists_every_scene_of_the_split(

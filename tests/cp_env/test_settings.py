@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import pytest
 
-from cp_env.settings import Settings
+from cp_env.settings import DEFAULTS, Settings
+from tests.campaign.values import STRANGE
 
 
 @pytest.mark.parametrize(
@@ -29,11 +31,32 @@ from cp_env.settings import Settings
         ({"reward": "x"}, r"damage, ap_drop, stealth"),
         ({"norm": "l1"}, r"linf, l2"),
         ({"slots": "x"}, r"adversaries, vehicles"),
+        ({"n_vehicles": 10**9}, r"n_vehicles must be at most 1024, not 1000000000"),
+        ({"attackers": range(10**9)}, r"distinct numbers from 0 \(the ego\) to 4, not range\(0, 1000000000\)"),
+        ({"attackers": np.array(3)}, r"a sequence of vehicle numbers such as \(0, 3\), not array\(3\)"),
     ],
 )
 def test_refuses(options: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         Settings(**options)
+
+
+def refusal(name: str, value: Any) -> str:
+    """What the settings say against a value; empty if they take it."""
+    try:
+        Settings.of({name: value})
+    except ValueError as error:
+        return str(error)
+    return ""
+
+
+@pytest.mark.parametrize("name", [name for name in DEFAULTS if name in Settings.__dataclass_fields__])
+def test_strange_values_are_taken_or_refused_in_a_sentence(name: str) -> None:
+    """Whatever raises in a conversion, has no end, or is deeper than Python writes: a `ValueError` of some lines."""
+    refusals = [said for make in STRANGE if (said := refusal(name, make()))]
+    assert len(refusals) > len(STRANGE) / 2
+    assert all(name in said or "attackers" in said for said in refusals)
+    assert max(map(len, refusals)) < 600
 
 
 def test_counts_attackers_and_maps() -> None:

@@ -54,6 +54,11 @@ class Browser:
     def resize(self, width: int, height: int) -> None:
         _send(f"{self._session}/window/rect", {"width": width, "height": height})
 
+    def emulate(self, width: int, height: int) -> None:
+        """Pretend to be a screen of that size in CSS pixels, narrower than any window may be."""
+        metrics = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600}
+        _send(f"{self._session}/goog/cdp/execute", {"cmd": "Emulation.setDeviceMetricsOverride", "params": metrics})
+
     def screenshot(self, path: Path) -> None:
         path.write_bytes(base64.b64decode(_send(f"{self._session}/screenshot")))
 

@@ -21,7 +21,7 @@ import tyro
 
 ROOT = Path(__file__).parents[2]
 FENCE = re.compile(r"^```(\w+)[^\n]*\n(.*?)^```", re.DOTALL | re.MULTILINE)
-INLINE = re.compile(r"`((?:python (?:examples/|-m )|make |cp-env |cp-arena )[^`\n]+)`")
+INLINE = re.compile(r"`((?:python (?:examples/|-m )|make |cp-(?:arena|benchmark|calibrate|env|play|train) )[^`\n]+)`")
 IN_TESTS = re.compile(r"^(\s*\w+ = )[^#\n]+(#[^\n]*?)(\S+) in the tests$", re.MULTILINE)
 
 

@@ -44,12 +44,13 @@ def situation(
     features, pose, attackers = (torch.stack(column) for column in zip(*worlds, strict=True))
     coverage, received = model.coverage(pose), model.warp(features, pose)
     everyone = torch.ones(n_worlds, n_maps, dtype=torch.bool)
+    clean = model.perceive(received, coverage, torch.arange(n_worlds), everyone)
     made = Situation(
         features=lambda: features,
-        received=received,
+        receive=lambda: received,
         coverage=coverage,
         ego_T_sender=pose,
-        clean=model.perceive(received, coverage, torch.arange(n_worlds), everyone),
+        perceive_clean=lambda: clean,
         attackers=attackers,
         fused=everyone,
         present=everyone,

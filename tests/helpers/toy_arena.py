@@ -21,15 +21,25 @@ class NamedToy(ToySource):
         super().__init__(n_frames=4)
 
 
-def toy_detector(detector: str, fusion: str) -> Detector:
+class Elsewhere(ToySource):
+    """Other toy crossings, on which attacks are screened."""
+
+    def __init__(self, path: str) -> None:
+        del path
+        super().__init__(n_frames=5)
+        self.name, self.digest = "elsewhere", f"elsewhere-{self.digest}"
+
+
+def toy_detector(detector: str, fusion: str, precision: str = "float32") -> Detector:
     """In the place of those that ship."""
-    assert (detector, fusion) == ("cp_env", "mean")
+    assert (detector, fusion, precision) == ("cp_env", "mean", "float32")
     return toy_bank().detector
 
 
 def install(setitem: Callable[..., Any] = dict.__setitem__, set_attribute: Callable[..., Any] = setattr) -> None:
     """Make the scenes known, and the detector the one that is loaded."""
     setitem(SOURCES, "toy", "tests.helpers.toy_arena:NamedToy")
+    setitem(SOURCES, "elsewhere", "tests.helpers.toy_arena:Elsewhere")
     set_attribute(cp_env.evaluation.execution.workers, "open_detector", toy_detector)
 
 

@@ -48,7 +48,7 @@ def unseen(situation: Situation) -> Bool[Tensor, "E k H W"]:
     """
     k = situation.attackers.shape[1]
     pose = torch.take_along_dim(situation.ego_T_sender, situation.attackers[..., None], 1)
-    seen = seen_by_ego(situation).to(situation.received)[:, None].expand(-1, k, -1, -1)
+    seen = seen_by_ego(situation).to(situation.coverage)[:, None].expand(-1, k, -1, -1)
     both = torch.stack([seen, torch.ones_like(seen)], dim=2)
     there = situation.detector.warp(both, _inverse(pose))
     return (there[:, :, 0] == 0) & (there[:, :, 1] > 0)

@@ -12,6 +12,7 @@ from agents.attacks.gradient import Cells, GradientAttack
 from agents.attacks.pgd import ProjectedGradient
 from agents.protocol import Attack
 from cp_env.world.situation import Situation
+from defenders.registry import typed_options
 
 
 def sacrifice(sacrificed: int = -1, steps: int = 15, step_size: float = 0.1, **options: Any) -> Attack:
@@ -31,9 +32,13 @@ def sacrifice(sacrificed: int = -1, steps: int = 15, step_size: float = 0.1, **o
 
     Returns:
         The attack.
+
+    Raises:
+        ValueError: an option that `GradientAttack` has not, or a value of the wrong type.
     """
+    own = typed_options(GradientAttack, options, "attack 'sacrifice'", given=("optimizer", "target_groups", "where"))
     return GradientAttack(
-        ProjectedGradient(steps, step_size), target_groups="fused", where=perturbing_cells(sacrificed), **options
+        ProjectedGradient(steps, step_size), target_groups="fused", where=perturbing_cells(sacrificed), **own
     )
 
 
@@ -43,7 +48,7 @@ def perturbing_cells(sacrificed: int) -> Cells:
     def cells(situation: Situation) -> Bool[Tensor, "E k H W"]:
         given = sacrifice_excluded(situation, sacrificed)[:, None].repeat(1, situation.attackers.shape[1])
         given[:, sacrificed] = True
-        height, width = situation.received.shape[-2:]
+        height, width = situation.coverage.shape[-2:]
         return given[:, :, None, None].expand(-1, -1, height, width)
 
     return cells

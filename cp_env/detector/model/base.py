@@ -20,6 +20,11 @@ OWN_RADIUS = 1.5  # m; nothing else's centre can be this close to the ego's
 NMS_IOU = 0.15  # two vehicles cannot overlap, two boxes estimated of neighbours may a little
 
 
+def moves_as_ours(detector: object) -> bool:
+    """Whether a detector's `warp` is the base class's own, so that maps may be moved straight to their place."""
+    return getattr(getattr(detector, "warp", None), "__func__", None) is BaseDetector.warp
+
+
 class BaseDetector(nn.Module):
     """A detector but for `channels`, `encode` and `perceive`: maps are warped, boxes found as our own detector does.
 
@@ -57,6 +62,26 @@ class BaseDetector(nn.Module):
     def freeze(self) -> BaseDetector:
         """Make this the victim: evaluation mode, no gradients to weights."""
         return self.eval().requires_grad_(False)
+
+    def with_precision(self, precision: str) -> BaseDetector:
+        """The same detector with maps, fusion and decoder in that precision: itself in its own.
+
+        Raises:
+            ValueError: a precision that the class does not know; this one knows "float32" alone.
+        """
+        if precision != "float32":
+            raise ValueError(f"detector {type(self).__name__} knows no precision but float32, not {precision!r}")
+        return self
+
+    @property
+    def dtype(self) -> torch.dtype:
+        """Of the maps that it fuses."""
+        return torch.float32
+
+    @property
+    def calibration_digest(self) -> str:
+        """What defenders' calibrations for this detector are kept under."""
+        return self.digest
 
     @property
     def device(self) -> torch.device:

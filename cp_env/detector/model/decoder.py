@@ -12,6 +12,9 @@ from torch.nn import functional
 from cp_env.detector.model.encoder import Conv
 
 BOX_CHANNELS = 6
+WHOLE = 64
+"""Peaks of a view are padded to a multiple of this: the end of an array that fills no vector of the processor may be
+rounded otherwise than its middle, so a view's last bits would depend on its place in the batch."""
 RARE = -4.0  # logit a cell starts from: few cells hold a vehicle's centre
 
 
@@ -33,7 +36,10 @@ class Dense:
 
 
 class Decoder(nn.Module):
-    """Fused maps [B, C, H, W] to `Dense` at twice the resolution, through a small U-net."""
+    """Fused maps [B, C, H, W] to `Dense` at twice the resolution, through a small U-net.
+
+    The maps are taken in any precision, computed with in that of the weights, and given back in single precision.
+    """
 
     def __init__(self, channels: int, width: int = 64, deep: int = 96) -> None:
         super().__init__()
@@ -45,10 +51,10 @@ class Decoder(nn.Module):
         nn.init.constant_(self.head.bias[:4], RARE)  # type: ignore[index]
 
     def forward(self, fused: Float[Tensor, "B C H W"]) -> Dense:
-        fine = self._pointwise(fused)
+        fine = self._pointwise(fused.to(self.up.weight.dtype))
         coarse = functional.interpolate(self.up(self.down(fine)), scale_factor=2.0, mode="nearest")
         out = functional.pixel_shuffle(self.head(self.top(fine + coarse)), 2)
-        return Dense(out[:, 0], out[:, 1:])
+        return Dense(out[:, 0].float(), out[:, 1:].float())
 
     def _pointwise(self, fused: Float[Tensor, "B C H W"]) -> Float[Tensor, "B D H W"]:
         """The stem; once folded a matrix product, which leaves the channels last and is faster than a convolution."""
@@ -66,6 +72,15 @@ def cell_centres(size: int, extent: float, like: Tensor) -> Float[Tensor, " size
     return (torch.arange(size, dtype=like.dtype, device=like.device) + 0.5) * (2 * extent / size) - extent
 
 
+def _highest(x: Float[Tensor, "B h w"], axis: int) -> Float[Tensor, "B h w"]:
+    """The largest of each entry and its neighbours along an axis: what a pooling layer gives, many times as fast."""
+    size, highest = x.shape[axis], x.clone()
+    for to, of in ((0, 1), (1, 0)):
+        place = highest.narrow(axis, to, size - 1)
+        torch.maximum(place, x.narrow(axis, of, size - 1), out=place)
+    return highest
+
+
 def peaks(dense: Dense, floor: float, extent: float, most: int) -> tuple[Float[Tensor, "B K"], Float[Tensor, "B K 5"]]:
     """Scores and boxes of the highest local maxima of each view, best first; scores of 0 fill up to K.
 
@@ -73,14 +88,15 @@ def peaks(dense: Dense, floor: float, extent: float, most: int) -> tuple[Float[T
     """
     logits = dense.logits.detach()
     size = logits.shape[-1]
-    highest = functional.max_pool2d(logits[:, None], kernel_size=3, stride=1, padding=1)[:, 0]
+    highest = _highest(_highest(logits, -1), -2)
     lowest = torch.tensor(floor, dtype=logits.dtype).logit().item()
     candidates = torch.where((logits == highest) & (logits >= lowest), logits, -torch.inf).flatten(start_dim=1)
-    best, index = candidates.topk(min(most, candidates.shape[1]), dim=1)
+    n = min(most, candidates.shape[1])
+    best, index = (functional.pad(one, (0, -n % WHOLE)) for one in candidates.topk(n, dim=1))
     code = dense.boxes.detach().flatten(start_dim=2).gather(2, index[:, None].expand(-1, BOX_CHANNELS, -1))
     centre = cell_centres(size, extent, logits)
     x = centre[index % size] + code[:, 0]
     y = centre[torch.div(index, size, rounding_mode="floor")] + code[:, 1]
     yaw = torch.atan2(code[:, 4], code[:, 5]) / 2
     boxes = torch.stack([x, y, code[:, 2].clamp(-2, 4).exp(), code[:, 3].clamp(-2, 4).exp(), yaw], dim=-1)
-    return best.sigmoid(), boxes
+    return best.sigmoid()[:, :n], boxes[:, :n]

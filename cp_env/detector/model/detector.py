@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 
 import torch
@@ -14,7 +15,14 @@ from cp_env.detector.model.decoder import Decoder, Dense
 from cp_env.detector.model.encoder import Conv, Encoder
 from cp_env.detector.model.fingerprint import fingerprint, refuse_empty
 from cp_env.detector.model.fusion import FUSIONS
-from cp_env.types import Sweep
+from cp_env.types import PRECISIONS, Sweep
+from defenders.registry import unknown
+
+TOGETHER = {"cpu": 16}
+"""Views that are fused and decoded in one go, by kind of device: more maps than caches hold are slower, not faster."""
+
+ELSEWHERE = 1024
+"""The same for any other kind: their maps take 3 GB."""
 
 
 class Detector(BaseDetector):
@@ -37,6 +45,7 @@ class Detector(BaseDetector):
         self.encoder = Encoder(BEV.slices, channels)
         self.fuser = FUSIONS[fusion](channels)
         self.decoder = Decoder(channels)
+        self._exact = ""  # digest before weights were rounded
 
     def encode(self, sweeps: Sequence[Sweep]) -> Float[Tensor, "B C H W"]:
         """The shared map of each sweep, in its own sensor's grid frame."""
@@ -82,7 +91,15 @@ class Detector(BaseDetector):
         groups: Bool[Tensor, "B N"],
     ) -> Dense:
         """What the ego's decoder makes of each group: `decode(fuse(...))`."""
-        return self.decode(self.fuse(received, coverage, world, groups))
+        refuse_empty(groups)
+        most = TOGETHER.get(received.device.type, ELSEWHERE)
+        parts = [
+            self.decode(self.fuse(received, coverage, rows, members))
+            for rows, members in zip(world.split(most), groups.split(most), strict=True)
+        ]
+        if len(parts) == 1:
+            return parts[0]
+        return Dense(torch.cat([part.logits for part in parts]), torch.cat([part.boxes for part in parts]))
 
     def freeze(self) -> Detector:
         """Make this the victim: evaluation mode, normalisation folded into the convolutions, no gradient to weights."""
@@ -93,10 +110,42 @@ class Detector(BaseDetector):
         self.decoder.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         return self.eval().requires_grad_(False)  # folding put fresh modules in
 
+    def with_precision(self, precision: str) -> Detector:
+        """The same detector with maps, fusion and decoder in that precision: itself in its own, else a copy.
+
+        The encoder stays in single precision, so that all precisions share one cache of encoded maps. Outputs are in
+        single precision always.
+
+        Raises:
+            ValueError: neither "float32" nor "bfloat16"; or single precision of a copy that has lost it.
+        """
+        if precision not in PRECISIONS:
+            raise unknown("precision", precision, PRECISIONS)
+        wanted: torch.dtype = getattr(torch, precision)
+        if wanted == self.dtype:
+            return self
+        if wanted == torch.float32:
+            raise ValueError("the weights were rounded to bfloat16: open the detector anew for float32")
+        twin = copy.deepcopy(self)
+        twin._exact = self.digest
+        twin.fuser.to(wanted)
+        twin.decoder.to(wanted)
+        return twin
+
+    @property
+    def dtype(self) -> torch.dtype:
+        """Of the maps that it fuses, and of fusion and decoder."""
+        return next(self.decoder.parameters()).dtype
+
     @property
     def digest(self) -> str:
         """A fingerprint of all weights and buffers and of the operating threshold."""
         return fingerprint(self, f"{self.fusion} {self.floor} {self.threshold}")
+
+    @property
+    def calibration_digest(self) -> str:
+        """The `digest` in single precision: similarities and scores of both precisions agree (see docs/speed.md)."""
+        return self._exact or self.digest
 
     @property
     def maps_digest(self) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 
+import torch
 from jaxtyping import Bool
 from torch import Tensor, nn
 
@@ -13,7 +14,8 @@ def fingerprint(module: nn.Module, conditions: str) -> str:
     sha = hashlib.sha256(conditions.encode())
     for name, tensor in sorted(module.state_dict().items()):
         sha.update(name.encode())
-        sha.update(tensor.detach().cpu().contiguous().numpy().tobytes())
+        exact = tensor.float() if tensor.dtype == torch.bfloat16 else tensor  # NumPy has no such numbers
+        sha.update(exact.detach().cpu().contiguous().numpy().tobytes())
     return sha.hexdigest()[:16]
 
 

@@ -9,12 +9,18 @@ Poses that shift by whole cells, as all grid frames on one lattice do, are not s
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn import functional
+
+Cells = list[tuple[int, int]]
+Window = tuple[slice, slice, slice]
+Move = tuple[int, int, int, tuple[int, int]]
 
 TOLERANCE = 1e-4
 """Cells by which a shift may miss a whole number: single precision over a few hundred metres."""
@@ -40,7 +46,7 @@ def warp(
             f"a map needs one pose each: maps {tuple(maps.shape)} = [..., C, H, W] come with poses "
             f"{tuple(ego_T_sender.shape)}; pass poses of shape {(*maps.shape[:-3], 3)}"
         )
-    cells = _whole_cells(ego_T_sender, maps.shape[-1], extent)
+    cells = whole_cells(ego_T_sender, maps.shape[-1], extent)
     if cells is not None:
         moved: Tensor = _Shift.apply(maps, cells)
         return moved
@@ -50,11 +56,12 @@ def warp(
     return flat.reshape(maps.shape)
 
 
-def _whole_cells(ego_T_sender: Float[Tensor, "*n 3"], size: int, extent: float) -> list[tuple[int, int]] | None:
+def whole_cells(ego_T_sender: Float[Tensor, "*n 3"], size: int, extent: float) -> Cells | None:
     """(columns, rows) by which each map moves, or None if any turns or moves by a fraction of a cell."""
-    cells = ego_T_sender[..., :2].reshape(-1, 2).double() * (size / (2 * extent))
-    whole = cells.round()
-    if bool(ego_T_sender[..., 2].any()) or bool(((cells - whole).abs() > TOLERANCE).any()):
+    pose = ego_T_sender.detach().cpu().numpy().reshape(-1, 3)
+    cells = pose[:, :2].astype(np.float64) * (size / (2 * extent))
+    whole = np.rint(cells)
+    if pose[:, 2].any() or (np.abs(cells - whole) > TOLERANCE).any():
         return None
     return [(int(column), int(row)) for column, row in whole.tolist()]
 
@@ -63,7 +70,7 @@ class _Shift(torch.autograd.Function):
     """Maps moved by whole cells. The adjoint of a shift is the shift back; slices and paddings would copy more."""
 
     @staticmethod
-    def forward(ctx: Any, maps: Float[Tensor, "*n C H W"], cells: list[tuple[int, int]]) -> Float[Tensor, "*n C H W"]:
+    def forward(ctx: Any, maps: Float[Tensor, "*n C H W"], cells: Cells) -> Float[Tensor, "*n C H W"]:
         ctx.cells = cells
         return _shifted(maps, cells)
 
@@ -74,17 +81,143 @@ class _Shift(torch.autograd.Function):
         return back, None
 
 
-def _shifted(maps: Float[Tensor, "*n C H W"], cells: list[tuple[int, int]]) -> Float[Tensor, "*n C H W"]:
+def _shifted(maps: Float[Tensor, "*n C H W"], cells: Cells) -> Float[Tensor, "*n C H W"]:
     """The maps moved by (columns, rows), zeros following."""
+    flat = maps.reshape(-1, *maps.shape[-3:])
+    if maps.device.type != "cpu":
+        return _gathered(flat, cells).reshape(maps.shape)
+    moved = torch.zeros(flat.shape, dtype=maps.dtype, device=maps.device)
+    for one, target, shift in zip(flat, moved, cells, strict=True):
+        to, of = _overlap(shift, maps.shape[-1])
+        target[to] = one[of]
+    return moved.view(maps.shape)
+
+
+def add_weighted(
+    fused: Float[Tensor, "B C H W"],
+    share: Float[Tensor, "B k 1 H W"],
+    world: Int[Tensor, " B"],
+    delta: Float[Tensor, "E k C H W"],
+    ego_T_sender: Float[Tensor, "E k 3"],
+    extent: float,
+) -> Float[Tensor, "B C H W"] | None:
+    """Fused maps with the share of each δ that it has in a group's mean, moved by whole cells; differentiable in δ.
+
+    Args:
+        fused: without perturbations, of any precision.
+        share: weight of every δ in each cell of the fused map.
+        world: the world of each fused map.
+        delta: in the senders' frames.
+        ego_T_sender: poses of the senders; m, m, rad.
+        extent: half the side of a map, m.
+
+    Returns:
+        The sum, in the precision of `fused`; None if a map moves by anything but whole cells, or is elsewhere than on
+        the CPU, where map by map is no faster.
+    """
+    cells = whole_cells(ego_T_sender, fused.shape[-1], extent)
+    if cells is None or fused.device.type != "cpu":
+        return None
+    k = delta.shape[1]
+    moves = [(b, e, j, cells[e * k + j]) for b, e in enumerate(world.tolist()) for j in range(k)]
+    added: Tensor = _AddWeighted.apply(fused, share, delta, moves)
+    return added
+
+
+class _AddWeighted(torch.autograd.Function):
+    """Map by map, so that each stays in the processor's cache; the gradient goes the same way back."""
+
+    @staticmethod
+    def forward(ctx: Any, fused: Tensor, share: Tensor, delta: Tensor, moves: list[Move]) -> Tensor:
+        ctx.save_for_backward(share)
+        ctx.moves, ctx.shape, ctx.dtype = moves, delta.shape, delta.dtype
+        added = fused.clone()
+        for b, e, j, shift in moves:
+            to, of = _overlap(shift, fused.shape[-1])
+            added[b][to] += delta[e, j][of] * share[b, j][to]
+        return added
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[None, None, Tensor, None]:
+        (gradient,), (share,) = gradients, ctx.saved_tensors
+        back = torch.zeros(ctx.shape, dtype=ctx.dtype)
+        for b, e, j, shift in ctx.moves:
+            to, of = _overlap(shift, gradient.shape[-1])
+            back[e, j][of] += gradient[b][to] * share[b, j][to]
+        return None, None, back, None
+
+
+def _overlap(shift: tuple[int, int], size: int) -> tuple[Window, Window]:
+    """The part of a moved map that the map reaches, and the part of the map that it comes from."""
+    x, y = max(-size, min(size, shift[0])), max(-size, min(size, shift[1]))
+    to = (slice(None), slice(max(0, y), size + min(0, y)), slice(max(0, x), size + min(0, x)))
+    of = (slice(None), slice(max(0, -y), size - max(0, y)), slice(max(0, -x), size - max(0, x)))
+    return to, of
+
+
+def _gathered(maps: Float[Tensor, "R C H W"], cells: Cells) -> Float[Tensor, "R C H W"]:
+    """The same in one go for all maps, as a GPU wants it: every cell is fetched from where it comes."""
     size = maps.shape[-1]
-    moved = torch.zeros(maps.shape, dtype=maps.dtype, device=maps.device)
-    pairs = zip(maps.reshape(-1, *maps.shape[-3:]), moved.view(-1, *maps.shape[-3:]), cells, strict=True)
-    for one, target, shift in pairs:
-        x, y = (max(-size, min(size, s)) for s in shift)
-        target[:, max(0, y) : size + min(0, y), max(0, x) : size + min(0, x)] = one[
-            :, max(0, -y) : size - max(0, y), max(0, -x) : size - max(0, x)
-        ]
-    return moved
+    shift = torch.tensor(cells, dtype=torch.long).reshape(-1, 2).to(maps.device)
+    source = torch.arange(size, device=maps.device) - shift[..., None]  # [R, (column, row), size]
+    inside = (source >= 0) & (source < size)
+    column, row = source.clamp(0, size - 1).unbind(1)
+    index = (row[:, :, None] * size + column[:, None, :]).flatten(1)[:, None].expand(-1, maps.shape[1], -1)
+    moved = maps.flatten(2).gather(2, index).unflatten(2, (size, size))
+    return moved * (inside[:, 1, :, None] & inside[:, 0, None, :])[:, None]
+
+
+def copy_into(
+    target: Float[Tensor, "M C H W"],
+    rows: Sequence[int],
+    maps: Sequence[Tensor],
+    ego_T_sender: Float[Tensor, "R 3"],
+    extent: float,
+) -> bool:
+    """Write `maps[i]`, moved by whole cells, to row `rows[i]` of `target`; False, and nothing, if any moves otherwise.
+
+    The target may have another precision: the maps are moved in their own, which copies less.
+    """
+    cells = whole_cells(ego_T_sender, target.shape[-1], extent)
+    if cells is None:
+        return False
+    if target.device.type != "cpu":
+        moved = _gathered(torch.stack(list(maps)).to(target.device), cells)
+        target.index_copy_(0, numbers(rows, target.device), moved.to(target.dtype))
+        return True
+    for row, one, shift in zip(rows, maps, cells, strict=True):
+        moved = one
+        if shift != (0, 0):
+            to, of = _overlap(shift, target.shape[-1])
+            moved = torch.zeros_like(one)
+            moved[to] = one[of]
+        target[row].copy_(moved if target.dtype == torch.float32 else moved.float())  # half to bfloat16 has no fast way
+    return True
+
+
+def add_into(
+    target: Float[Tensor, "M C H W"],
+    rows: Sequence[int],
+    maps: Float[Tensor, "R C H W"],
+    ego_T_sender: Float[Tensor, "R 3"],
+    extent: float,
+) -> bool:
+    """Add `maps[i]`, moved by whole cells, to row `rows[i]` of `target`; False, and nothing, if any moves otherwise."""
+    cells = whole_cells(ego_T_sender, target.shape[-1], extent)
+    if cells is None:
+        return False
+    if target.device.type != "cpu":
+        target.index_add_(0, numbers(rows, target.device), _gathered(maps, cells).to(target.dtype))
+        return True
+    for row, one, shift in zip(rows, maps, cells, strict=True):
+        to, of = _overlap(shift, target.shape[-1])
+        target[row][to] += one[of]
+    return True
+
+
+def numbers(rows: Sequence[int], device: torch.device) -> Int[Tensor, " R"]:
+    """Row numbers as an index on a device."""
+    return torch.tensor(list(rows), dtype=torch.long).to(device)
 
 
 def coverage(ego_T_sender: Float[Tensor, "*n 3"], size: int, extent: float) -> Float[Tensor, "*n H W"]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 
 import gymnasium
 import numpy as np
@@ -10,6 +11,10 @@ from jaxtyping import Float
 from torch import Tensor
 
 from cp_env.world.situation import Situation
+from defenders.registry import shown
+
+LARGEST = 1 << 28
+"""Numbers of an action, at most: a thousand worlds of five whole maps of 64 by 64 cells have fewer."""
 
 
 def real_numbers(action: object, what: str = "an action") -> Float[np.ndarray, "..."]:
@@ -23,17 +28,22 @@ def real_numbers(action: object, what: str = "an action") -> Float[np.ndarray, "
         A new array; its shape is for the caller to check.
 
     Raises:
-        ValueError: it holds anything else: text, complex numbers, masked entries, numbers too large for any float.
+        ValueError: it holds anything else: text, complex numbers, masked entries, numbers too large for any float, or
+            more numbers than any action has.
     """
     parts = action if isinstance(action, list | tuple) else ()
     if isinstance(action, str | bytes | np.ma.MaskedArray) or any(isinstance(p, np.ma.MaskedArray) for p in parts):
         raise ValueError(f"{what} must hold real numbers, not {type(action).__name__}")
+    if any(isinstance(part, Sequence) and len(part) > LARGEST for part in (action, *parts)):  # such as a long range
+        raise ValueError(f"{what} must hold at most {LARGEST} numbers")
     try:
         array = np.asarray(action)
-    except (TypeError, ValueError, RuntimeError, OverflowError) as error:
-        raise ValueError(f"{what} must hold real numbers and no graph: {error}") from error
+    except Exception as error:  # whatever an object of others raises, it is no action
+        raise ValueError(f"{what} must hold real numbers and no graph: {shown(str(error), 200)}") from error
     if array.dtype.kind not in "fiub":
         raise ValueError(f"{what} must hold real numbers, not {array.dtype}")
+    if array.size > LARGEST:
+        raise ValueError(f"{what} must hold at most {LARGEST} numbers, not {array.size}")
     with np.errstate(over="ignore"):  # what is too large becomes infinite, which is refused by `checked`
         return array.astype(np.float32)
 

@@ -19,7 +19,7 @@ class Full(ActionMap):
         super().__init__((channels, size, size))
 
     def __call__(self, actions: Float[np.ndarray, "E k *a"], situation: Situation) -> Float[Tensor, "E k C H W"]:
-        delta = torch.from_numpy(actions).to(situation.received.device) * situation.budget
+        delta = torch.from_numpy(actions).to(situation.device) * situation.budget
         return project(delta, situation.budget, situation.norm)
 
 
@@ -42,6 +42,6 @@ class Basis(ActionMap):
         self._directions = torch.from_numpy((signs * np.cos(phase)[:, None]).astype(np.float32))
 
     def __call__(self, actions: Float[np.ndarray, "E k *a"], situation: Situation) -> Float[Tensor, "E k C H W"]:
-        device = situation.received.device
+        device = situation.device
         mixed = torch.einsum("eka,achw->ekchw", torch.from_numpy(actions).to(device), self._directions.to(device))
         return project(mixed.clamp(-1, 1) * situation.budget, situation.budget, situation.norm)

@@ -64,7 +64,7 @@ class Guided(ActionMap):
         self._stale += worlds
 
     def __call__(self, actions: Float[np.ndarray, "E k *a"], situation: Situation) -> Float[Tensor, "E k C H W"]:
-        guidance = Guidance.read(torch.from_numpy(actions).to(situation.received.device), situation.detector.extent)
+        guidance = Guidance.read(torch.from_numpy(actions).to(situation.device), situation.detector.extent)
         start = self._carried(situation)
         fires = (guidance.fires * situation.active[:, None])[..., None, None, None]
         radius = (guidance.strength * situation.budget)[..., None, None, None] * fires
@@ -78,7 +78,7 @@ class Guided(ActionMap):
     def _carried(self, situation: Situation) -> Float[Tensor, "E k C H W"]:
         """The perturbation that every slot sent last; 0 if its episode has just begun."""
         if self._last is None:
-            self._last = situation.received.new_zeros((*situation.attackers.shape, *situation.received.shape[2:]))
+            self._last = torch.zeros(situation.delta_shape, device=situation.device)
         self._last[self._stale] = 0
         self._stale = []
         return self._last

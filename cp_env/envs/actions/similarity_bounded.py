@@ -39,7 +39,7 @@ class SimilarityBounded(Guided):
 
     def __call__(self, actions: Float[np.ndarray, "E k *a"], situation: Situation) -> Float[Tensor, "E k C H W"]:
         steering, floors = read(actions)
-        device, floor = situation.received.device, torch.from_numpy(floors.mean(axis=1))
+        device, floor = situation.device, torch.from_numpy(floors.mean(axis=1))
         before = self._carried(situation)
         wanted = super().__call__(steering, situation)
         fires = wanted.flatten(2).any(2)[..., None, None, None]

@@ -47,7 +47,7 @@ def test_it_is_the_attack(name: str) -> None:
         {"frame": np.array([3, 4])},
         {"active": torch.tensor([True, False])},
         {"detector": detector(1)},
-        {"received": STORY[1].received},
+        {"receive": STORY[1].receive},
         {"attackers": STORY[0].attackers.flip(1)},
     ],
     ids=lambda other: next(iter(other)),

@@ -176,3 +176,9 @@ def test_step_after_the_end_asks_for_a_reset(toy_env: Make) -> None:
     env.step({agent: env.action_space(agent).sample() for agent in env.agents})
     with pytest.raises(ResetNeeded, match=r"call reset\(\)"):
         env.step({})
+
+
+def test_repr_shows_the_options(toy_env: Callable[..., CollaborativePerceptionEnv]) -> None:
+    shown = repr(toy_env("robosac", n_attackers=1, max_frames=2))
+    assert shown.startswith("CollaborativePerceptionEnv(defender='robosac', scenes='toy', ")
+    assert "n_attackers=1, " in shown and "max_frames=2, " in shown and shown.endswith("render_mode=None)")

@@ -14,6 +14,7 @@ from gymnasium.utils.env_checker import check_env
 
 import cp_env
 from cp_env.envs.parallel import CollaborativePerceptionEnv
+from cp_env.envs.single import JointAdversaryEnv
 from cp_env.world.scene_cache import SceneBank
 from tests.cp_env.conftest import FRAMES
 
@@ -95,3 +96,9 @@ def test_bad_actions_are_refused(make: Any) -> None:
         env.step(env.action_space.sample())
     with pytest.raises(ResetNeeded, match=r"call reset\(\)"):
         env.step(env.action_space.sample())
+
+
+def test_repr_shows_the_options(bank: SceneBank) -> None:
+    shown = repr(JointAdversaryEnv("robosac", bank=bank, n_attackers=1, max_frames=2))
+    assert shown.startswith("JointAdversaryEnv(defender='robosac', scenes='toy', ")
+    assert "n_attackers=1, " in shown and "max_frames=2, " in shown and shown.endswith("render_mode=None)")

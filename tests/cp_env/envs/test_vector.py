@@ -161,3 +161,9 @@ def test_make_vec(bank: SceneBank) -> None:
     assert isinstance(env.unwrapped, JointAdversaryVectorEnv) and env.num_envs == 2
     observations, _ = env.reset(seed=0)
     assert env.observation_space.contains(observations)
+
+
+def test_repr_shows_the_options(bank: SceneBank) -> None:
+    shown = repr(JointAdversaryVectorEnv(3, "robosac", bank=bank, n_attackers=1, max_frames=2))
+    assert shown.startswith("JointAdversaryVectorEnv(3, defender='robosac', scenes='toy', ")
+    assert "n_attackers=1, " in shown and "max_frames=2, " in shown and shown.endswith("render_mode=None)")

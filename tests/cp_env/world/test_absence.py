@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from typing import Any
 
 import numpy as np
@@ -77,7 +78,10 @@ def test_neighbours_and_the_next_episode_are_not_touched(bank: SceneBank) -> Non
     assert world.situation().present.all()
 
 
-@pytest.mark.parametrize("absent", [{0: [1]}, {3: [1]}, [1], {1: 5}])
+DEEP: list[Any] = functools.reduce(lambda inner, _: [inner], range(5000), [])
+
+
+@pytest.mark.parametrize("absent", [{0: [1]}, {3: [1]}, [1], {1: 5}, DEEP, {"x" * 10**5: [1]}], ids=range(6))
 def test_nonsense_is_refused(bank: SceneBank, absent: Any) -> None:
     with pytest.raises(ValueError, match="absent"):
         played(bank, absent)

@@ -12,7 +12,7 @@ import torch
 
 from cp_env.types import Detections, View
 from cp_env.world.scene_cache import SceneBank
-from cp_env.world.situation import Outcome
+from cp_env.world.situation import Outcome, Situation
 from cp_env.world.world import World
 from defenders import Defender, Frame, Inspection, Query, Verdict
 
@@ -22,6 +22,9 @@ def arrays(thing: Any, name: str = "") -> Iterator[tuple[str, Any]]:
     if isinstance(thing, np.ndarray | torch.Tensor):
         yield name, thing
     elif is_dataclass(thing) and not isinstance(thing, type):
+        if isinstance(thing, Situation):  # what it reads on demand
+            yield from arrays(thing.received, f"{name}.received")
+            yield from arrays(thing.clean, f"{name}.clean")
         for one in fields(thing):
             yield from arrays(getattr(thing, one.name), f"{name}.{one.name}")
     elif isinstance(thing, tuple | list):

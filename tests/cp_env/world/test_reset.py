@@ -40,7 +40,7 @@ def test_one_bad_world_leaves_all_as_they_were(bank: SceneBank) -> None:
     assert before == after
 
 
-@pytest.mark.parametrize("options", ["scene", 3, [{}], [{}, 3], [{"strat": 1}, {}], {"strat": 1}])
+@pytest.mark.parametrize("options", ["scene", 3, [{}], [{}, 3], [{"strat": 1}, {}], {"strat": 1}, range(10**9)])
 def test_options_that_are_none(options: Any) -> None:
     with pytest.raises(ValueError, match=r"options|option of reset"):
         options_of(options, 2)

@@ -7,6 +7,7 @@ import pickle
 
 import numpy as np
 import pytest
+import torch
 
 import defenders
 from cp_env.world.scene_cache import SceneBank
@@ -62,3 +63,40 @@ def test_the_situation_shows_what_the_ego_did_last(bank: SceneBank) -> None:
     anew, going_on = world.situation().output
     assert anew is None and going_on is not None
     assert going_on.detections.boxes is outcome.output[1].detections.boxes
+
+
+def test_maps_are_read_when_they_are_asked_for_and_stay_those_of_the_frame(bank: SceneBank) -> None:
+    world = make(bank, 2, grace_frames=0)
+    world.reset([1, 2])
+    kept = world.situation()
+    expected = [one.clone() for one in (world.situation().received, world.situation().clean.logits)]
+    world.step(perturbations(world, 0))
+    assert not np.array_equal(world.situation().place, kept.place)
+    assert torch.equal(kept.received, expected[0]) and torch.equal(kept.clean.logits, expected[1])
+    assert kept.received is kept.received
+
+
+def test_what_is_added_for_a_simulation_is_taken_away_again(bank: SceneBank) -> None:
+    world = make(bank, 2, grace_frames=0)
+    world.reset([1, 2])
+    before = world.current().received.clone()
+    world.situation().simulate(perturbations(world, 0), rngs(0))
+    assert torch.equal(world.current().received, before)
+    with pytest.raises(ValueError, match="finite"):
+        world.situation().simulate(perturbations(world, 0) * torch.nan, rngs(0))
+    assert torch.equal(world.current().received, before)
+
+
+def test_a_failed_step_leaves_the_frame_as_it_was(bank: SceneBank, monkeypatch: pytest.MonkeyPatch) -> None:
+    world = make(bank, 2, grace_frames=0)
+    world.reset([1, 2])
+    before = world.situation().received
+    with monkeypatch.context() as patched:
+        patched.setattr("cp_env.world.world.judge", lambda *args: 1 / 0)
+        with pytest.raises(ZeroDivisionError):
+            world.step(perturbations(world, 0))
+    assert torch.equal(world.situation().received, before)
+    other = make(bank, 2, grace_frames=0)
+    other.reset([1, 2])
+    played, expected = world.step(perturbations(world, 1)), other.step(perturbations(other, 1))
+    assert all(figures(played, e) == figures(expected, e) for e in range(2))

@@ -24,12 +24,12 @@ def test_a_world_in_grace_sends_nothing_while_another_does(bank: SceneBank) -> N
     world.reset([0, 1])
     world.step(loud(world))
     world.reset([2], [0])
-    situation = world.current()
-    attacked, norms = transmit(situation, loud(world), world.settings)
+    situation, before = world.current(), world.situation().received
+    norms = transmit(situation, loud(world), world.settings)
     assert situation.active.tolist() == [False, True]
     assert norms[0].tolist() == [0, 0] and (norms[1] > 0.29).all()
-    assert torch.equal(attacked[0], situation.received[0])
-    changed = (attacked[1] != situation.received[1]).flatten(1).any(1)
+    assert torch.equal(before[0], situation.received[0])
+    changed = (before[1] != situation.received[1]).flatten(1).any(1)
     assert changed.tolist() == [False, True, False, True, False]
 
 
@@ -37,8 +37,8 @@ def test_an_absent_attacker_sends_nothing_while_another_does(bank: SceneBank) ->
     for away, there in ((1, 3), (3, 1)):
         world = made(bank, 1, grace_frames=0)
         world.reset([0], options={"absent": {away: [0]}})
-        situation = world.current()
-        attacked, norms = transmit(situation, loud(world), world.settings)
+        situation, before = world.current(), world.situation().received
+        norms = transmit(situation, loud(world), world.settings)
         assert [bool(norm) for norm in norms[0]] == [there == 1, there == 3]
-        changed = (attacked[0] != situation.received[0]).flatten(1).any(1)
+        changed = (before[0] != situation.received[0]).flatten(1).any(1)
         assert torch.nonzero(changed).flatten().tolist() == [there]

@@ -17,7 +17,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
-from cp_env.detector.model.fusion.base import Fusion, Pointwise, Sent, average
+from cp_env.detector.model.fusion.base import Fusion, Pointwise, Sent, average, average_all, total
 
 OUT_OF_REACH = -1e4  # logit of a member whose map does not cover the cell; its weight is set to 0 besides
 
@@ -34,16 +34,14 @@ class DiscoNet(Fusion):
         nn.init.zeros_(self.score.weight)  # training starts from the mean
         nn.init.zeros_(self.score.bias)
 
-    def describe(self, one: Float[Tensor, "C H W"]) -> Float[Tensor, "D H W"]:
+    def describe(self, one: Float[Tensor, "*n C H W"]) -> Float[Tensor, "*n D H W"]:
         code: Tensor = self.code(one)
         return code
 
-    def fuse(self, members: Sequence[Sent], ego: bool) -> Float[Tensor, "C H W"]:
-        weights = self.weights(members, ego)
-        total = torch.zeros_like(members[0].map)
-        for one, weight in zip(members, weights.unbind(), strict=True):
-            total = torch.addcmul(total, one.map, weight)
-        return total
+    def fuse(
+        self, members: Sequence[Sent], ego: bool, out: Float[Tensor, "C H W"] | None = None
+    ) -> Float[Tensor, "C H W"]:
+        return total([one.map for one in members], self.weights(members, ego).unbind(), out)
 
     def weights(self, members: Sequence[Sent], ego: bool) -> Float[Tensor, "M H W"]:
         """w_j of every member in every cell: sums to 1 where any covers it, is 0 for those that do not."""
@@ -51,5 +49,21 @@ class DiscoNet(Fusion):
         codes = torch.stack([one.code for one in members if one.code is not None])
         as_centre, as_member = codes.split(self.width, dim=1)
         centre = as_centre[0] if ego else average(list(as_centre), list(covers))  # linear: the mean's is their mean
-        score = self.score(functional.relu(self.hidden(functional.relu(centre + as_member))))[:, 0]
-        return torch.where(covers > 0, score, OUT_OF_REACH).softmax(0) * covers
+        return torch.where(covers > 0, self._scores(centre[None], as_member), OUT_OF_REACH).softmax(0) * covers
+
+    def fuse_all(
+        self, maps: Tensor, covers: Tensor, codes: Tensor | None, world: Tensor, ego: Tensor
+    ) -> Float[Tensor, "B C H W"]:
+        assert codes is not None
+        as_centre, as_member = codes[world].split(self.width, dim=2)
+        centre = torch.where(ego[:, None, None, None], as_centre[:, 0], average_all(as_centre, covers))
+        score = self._scores(centre[:, None], as_member)
+        weights = torch.where(covers > 0, score, OUT_OF_REACH).softmax(1) * covers
+        return torch.einsum("bnchw,bnhw->bchw", maps, weights)
+
+    def _scores(
+        self, centre: Float[Tensor, "*b 1 D H W"], member: Float[Tensor, "*b M D H W"]
+    ) -> Float[Tensor, "*b M H W"]:
+        """e(F_centre, F_j) of every member."""
+        score: Tensor = self.score(functional.relu(self.hidden(functional.relu(centre + member))))
+        return score.squeeze(-3)

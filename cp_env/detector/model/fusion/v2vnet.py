@@ -21,7 +21,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
-from cp_env.detector.model.fusion.base import Fusion, Pointwise, Sent, average
+from cp_env.detector.model.fusion.base import Fusion, Pointwise, Sent, average, average_all
 
 ROUNDS = 3
 
@@ -39,12 +39,14 @@ class V2VNet(Fusion):
         nn.init.zeros_(self.out.weight)  # training starts from the mean
         nn.init.zeros_(self.out.bias)
 
-    def describe(self, one: Float[Tensor, "C H W"]) -> Float[Tensor, "D H W"]:
+    def describe(self, one: Float[Tensor, "*n C H W"]) -> Float[Tensor, "*n D H W"]:
         code: Tensor = self.code(one)
         return code
 
-    def fuse(self, members: Sequence[Sent], ego: bool) -> Float[Tensor, "C H W"]:
-        mean = average([one.map for one in members], [one.covers for one in members])
+    def fuse(
+        self, members: Sequence[Sent], ego: bool, out: Float[Tensor, "C H W"] | None = None
+    ) -> Float[Tensor, "C H W"]:
+        mean = average([one.map for one in members], [one.covers for one in members], out)
         heard = torch.stack([one.covers for one in members]).sum(0) > 1
         if not bool(heard.any()):
             return mean
@@ -55,8 +57,24 @@ class V2VNet(Fusion):
         others = slice(1, None) if ego else slice(None)
         h = functional.relu(first)
         for _ in range(ROUNDS):
-            h = self.gru(h, _mean(functional.relu(messages[others] + self.listen(h)), covers[others]))
-        return mean + heard * self.out(h)
+            message = _mean(functional.relu(messages[others] + self.listen(h)), covers[others])
+            h = self.gru(h[None], message[None])[0]
+        return torch.addcmul(mean, heard.to(mean.dtype), self.out(h), out=out)
+
+    def fuse_all(
+        self, maps: Tensor, covers: Tensor, codes: Tensor | None, world: Tensor, ego: Tensor
+    ) -> Float[Tensor, "B C H W"]:
+        assert codes is not None
+        mean, (state, messages) = average_all(maps, covers), codes[world].split(self.width, dim=2)
+        heard = covers.sum(1) > 1
+        first = torch.where(ego[:, None, None, None], state[:, 0], average_all(state, covers))
+        senders = covers.clone()
+        senders[ego, 0] = 0  # the ego sends itself nothing
+        h = functional.relu(first)
+        for _ in range(ROUNDS):
+            heard_of = functional.relu(messages + self.listen(h)[:, None])
+            h = self.gru(h, average_all(heard_of, senders))
+        return mean + heard[:, None] * self.out(h)
 
 
 class ConvGru(nn.Module):
@@ -72,11 +90,13 @@ class ConvGru(nn.Module):
             for _ in range(2)
         )
 
-    def forward(self, h: Float[Tensor, "D H W"], message: Float[Tensor, "D H W"]) -> Float[Tensor, "D H W"]:
-        from_state, from_message = self.state(h[None])[0], self.message(message[None])[0]
-        width = len(h)
-        reset, update = (from_state[: 2 * width] + from_message[: 2 * width]).sigmoid().chunk(2)
-        new = torch.addcmul(from_message[2 * width :], reset, from_state[2 * width :]).tanh()
+    def forward(self, h: Float[Tensor, "B D H W"], message: Float[Tensor, "B D H W"]) -> Float[Tensor, "B D H W"]:
+        width = h.shape[1]
+        (gates, new_state), (others, new_message) = (
+            out.split([2 * width, width], dim=1) for out in (self.state(h), self.message(message))
+        )
+        reset, update = (gates + others).sigmoid().chunk(2, dim=1)
+        new = torch.addcmul(new_message, reset, new_state).tanh()
         return torch.lerp(h, new, update)
 
 

@@ -32,7 +32,7 @@ def _street(*cells: tuple[int, int], logit: float = 4.0, worlds: int = 1) -> Sit
     boxes[:, 2], boxes[:, 3], boxes[:, 5] = np.log(4.0), np.log(2.0), 1.0
     for row, column in cells:
         logits[:, row, column] = logit
-    return replace(situations.situation(MODEL, n_worlds=worlds), clean=Dense(logits, boxes))
+    return replace(situations.situation(MODEL, n_worlds=worlds), perceive_clean=lambda: Dense(logits, boxes))
 
 
 def _at(row: int, column: int) -> tuple[float, float]:
@@ -88,7 +88,8 @@ def test_the_target_is_a_place_or_a_detection_of_each_world() -> None:
     situation = _street((10, 10), (20, 21), worlds=2)
     lower = situation.clean.logits.clone()
     lower[1, 10, 10] = 2.0  # in world 1 the other car is the surer
-    situation = replace(situation, clean=Dense(lower, situation.clean.boxes))
+    changed = Dense(lower, situation.clean.boxes)
+    situation = replace(situation, perceive_clean=lambda: changed)
     torch.testing.assert_close(detection(0)(situation)[1, :2], torch.tensor(_at(20, 21)))
     torch.testing.assert_close(detection([1, 1])(situation)[1], torch.tensor([*_at(10, 10), 4.0, 2.0, 0.0]))
     rows = spot([_at(10, 10), _at(3, 3)])(situation)

@@ -7,7 +7,7 @@ import math
 import pytest
 import torch
 
-from cp_env.detector.model.decoder import Decoder, Dense, cell_centres, peaks
+from cp_env.detector.model.decoder import Decoder, Dense, _highest, cell_centres, peaks
 
 
 def dense(size: int = 4, **logits: float) -> Dense:
@@ -63,3 +63,21 @@ def test_four_cells_to_a_pixel_and_few_of_them_hold_a_vehicle() -> None:
         said = decoder(torch.zeros(2, 3, 8, 8))
     assert said.logits.shape == (2, 16, 16) and said.boxes.shape == (2, 6, 16, 16)
     assert said.scores.mean() < 0.05
+
+
+@pytest.mark.parametrize("size", [1, 2, 3, 64])
+def test_the_highest_of_a_neighbourhood_is_what_a_pooling_layer_gives(size: int) -> None:
+    x = torch.randn(4, size, size, generator=torch.Generator().manual_seed(size))
+    pooled = torch.nn.functional.max_pool2d(x[:, None], kernel_size=3, stride=1, padding=1)[:, 0]
+    assert torch.equal(_highest(_highest(x, -1), -2), pooled)
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 5, 7])
+def test_peaks_have_the_same_bits_in_any_batch(n: int) -> None:
+    generator = torch.Generator().manual_seed(n)
+    everything = Dense(torch.randn(n, 64, 64, generator=generator) * 3, torch.randn(n, 6, 64, 64, generator=generator))
+    scores, boxes = peaks(everything, 0.05, 32.0, 80)
+    assert (scores[:, -1] > 0).all()
+    for row in range(n):
+        alone = peaks(Dense(everything.logits[row : row + 1], everything.boxes[row : row + 1]), 0.05, 32.0, 80)
+        assert torch.equal(alone[0][0], scores[row]) and torch.equal(alone[1][0], boxes[row])

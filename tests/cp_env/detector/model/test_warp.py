@@ -9,6 +9,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
+import cp_env.detector.model.warp as moving
 from cp_env.detector import Detector
 from cp_env.detector.model.warp import coverage, warp
 
@@ -115,3 +116,38 @@ def test_gradient_reaches_the_sender(at: tuple[float, float]) -> None:
 def test_a_pose_too_few_is_refused() -> None:
     with pytest.raises(ValueError, match="a map needs one pose each"):
         warp(torch.zeros(3, 2, SIZE, SIZE), torch.zeros(2, 3), EXTENT)
+
+
+SHIFTS = [(0, 0), (3, -5), (-31, 2), (32, 0), (0, -40), (100, 100)]
+
+
+def test_one_fetch_for_all_maps_is_the_copy_of_each() -> None:
+    maps = torch.randn(len(SHIFTS), 2, 32, 32)
+    assert torch.equal(moving._gathered(maps, SHIFTS), moving._shifted(maps, SHIFTS))
+
+
+@pytest.mark.parametrize("precision", [torch.float32, torch.bfloat16])
+def test_weighted_perturbations_are_warped_weighted_and_summed_and_so_is_their_gradient(precision: torch.dtype) -> None:
+    """Beside the plain formula: fused + Σ_j share_j · warp(δ_j), differentiated by torch itself."""
+    generator = torch.Generator().manual_seed(0)
+    world, delta = torch.tensor([1, 0, 1]), torch.randn(2, 2, 4, 32, 32, generator=generator).requires_grad_()
+    pose = torch.tensor([[[0.0, 0, 0], [4, -6, 0]], [[-30, 8, 0], [62, 0, 0]]])
+    share = torch.rand(3, 2, 1, 32, 32, generator=generator)
+    fused = torch.randn(3, 4, 32, 32, generator=generator).to(precision)
+    weight = torch.randn(3, 4, 32, 32, generator=generator)
+    plain = fused + (warp(delta, pose, 32.0)[world] * share).sum(1)
+    expected = torch.autograd.grad((plain * weight).sum(), delta)[0]
+    added = moving.add_weighted(fused, share, world, delta, pose, 32.0)
+    assert added is not None and added.dtype == precision
+    loose = {"atol": 1e-5, "rtol": 1e-5} if precision == torch.float32 else {"atol": 0.05, "rtol": 0.02}
+    torch.testing.assert_close(added.float(), plain.detach(), **loose)  # type: ignore[arg-type]
+    found = torch.autograd.grad((added.float() * weight).sum(), delta)[0]
+    torch.testing.assert_close(found, expected, **loose)  # type: ignore[arg-type]
+
+
+def test_no_shortcut_for_maps_that_turn() -> None:
+    pose = torch.tensor([[[0.0, 0.0, 0.3]]])
+    target = torch.zeros(1, 1, 32, 32)
+    assert moving.add_weighted(target, torch.ones(1, 1, 1, 32, 32), torch.tensor([0]), target[None], pose, 32.0) is None
+    assert not moving.copy_into(target, [0], [torch.ones(1, 32, 32)], pose[0], 32.0) and not target.any()
+    assert not moving.add_into(target, [0], torch.ones(1, 1, 32, 32), pose[0], 32.0) and not target.any()

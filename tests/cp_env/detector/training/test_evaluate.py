@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from cp_env.detector import Detector
-from cp_env.detector.model.weights import about, read_detector, save_detector
+from cp_env.detector.model.weights import FOLDER, about, read_detector, save_detector
 from cp_env.detector.training import evaluate
 from cp_env.detector.training.evaluate import GRID, Args, Report, Seen, calibrate, jaccard, perceive_scenes, report
 from cp_env.types import Detections
@@ -57,7 +57,9 @@ def test_every_frame_is_perceived() -> None:
 
 def test_command_calibrates_and_writes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "mean.safetensors"
-    save_detector(Detector(threshold=0.99), path, steps=3)
+    trained = read_detector(FOLDER / "mean.safetensors")
+    trained.threshold = 0.99
+    save_detector(trained, path, steps=3)
     monkeypatch.setattr(evaluate, "open_source", lambda _: ToySource(n_frames=2))
     args = Args(scenes="toy", weights=path, calibrate=True, json=tmp_path / "figures.json", n_vehicles=2)
     evaluate.main(args)
@@ -67,3 +69,29 @@ def test_command_calibrates_and_writes(tmp_path: Path, monkeypatch: pytest.Monke
     assert figures.keys() == Report.__dataclass_fields__.keys() and figures["n_frames"] == 4
     with pytest.raises(ValueError, match="name the file with --weights"):
         evaluate.main(replace(args, weights=None))
+    with pytest.raises(ValueError, match="give one of the two"):
+        evaluate.main(replace(args, detector="mine:Toy"))
+
+
+def test_a_threshold_at_which_nothing_is_found_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Random weights find nothing that is there: the file is left as it was."""
+    path = tmp_path / "mean.safetensors"
+    save_detector(Detector(threshold=0.99), path)
+    before = path.read_bytes()
+    monkeypatch.setattr(evaluate, "open_source", lambda _: ToySource(n_frames=2))
+    with pytest.raises(ValueError, match=r"at no threshold from 0\.1 to 0\.7 .*nothing was written"):
+        evaluate.main(Args(scenes="toy", weights=path, calibrate=True, n_vehicles=2))
+    assert path.read_bytes() == before
+    with pytest.raises(ValueError, match="at no threshold"):
+        calibrate([seen(0.0, FAR, [0.9]), seen(0.0, FAR, [0.9])])
+    with pytest.raises(ValueError, match="at no threshold"):
+        calibrate([seen(0.0, CAR, [0.9])])
+
+
+def test_a_detector_of_your_own_is_measured(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """By its name, as everywhere; the example's toy, which needs no training."""
+    monkeypatch.setattr(evaluate, "open_source", lambda _: ToySource(n_frames=2))
+    out = tmp_path / "figures.json"
+    evaluate.main(Args(scenes="toy", detector="examples.bring_your_own_detector:Toy", n_vehicles=2, json=out))
+    figures = json.loads(out.read_text())
+    assert figures["ap50"][1] > 0 and figures["threshold"] == 0.5

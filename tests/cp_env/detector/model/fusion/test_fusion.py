@@ -129,3 +129,22 @@ def test_an_empty_group_is_refused(situation: Situation) -> None:
 def test_unknown_fusion_lists_the_known() -> None:
     with pytest.raises(ValueError, match=r"mean, max, sum, v2vnet, disconet, not 'median'"):
         Detector(fusion="median")
+
+
+def test_a_view_is_the_same_whether_its_gradient_is_recorded_or_not(detector: Detector, situation: Situation) -> None:
+    """Without gradients a view is written in place."""
+    received, coverage = situation
+    recorded = detector.fuse(received.clone().requires_grad_(), coverage, WORLD, GROUPS)
+    with torch.inference_mode():
+        assert torch.equal(detector.fuse(received, coverage, WORLD, GROUPS), recorded.detach())
+    assert recorded.requires_grad
+
+
+def test_all_groups_at_once_are_each_group_by_itself(detector: Detector, situation: Situation) -> None:
+    """What a GPU computes, beside the loop of the CPU."""
+    received, coverage = situation
+    with torch.no_grad():
+        expected = detector.fuser(received, coverage, WORLD, GROUPS)
+        torch.testing.assert_close(
+            detector.fuser.together(received, coverage, WORLD, GROUPS), expected, atol=1e-4, rtol=1e-4
+        )

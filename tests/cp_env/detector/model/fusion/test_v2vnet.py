@@ -25,7 +25,7 @@ def test_the_convolutional_gru_is_a_gru_in_every_cell() -> None:
             bias.copy_(sign * mix.bias)
     h, message = torch.rand(2, width, 4, 5)
     expected = theirs(message.flatten(1).T, h.flatten(1).T).T.reshape(width, 4, 5)
-    torch.testing.assert_close(ours(h, message), expected)
+    torch.testing.assert_close(ours(h[None], message[None])[0], expected)
 
 
 def test_v2vnet_by_its_definition(situation: Situation) -> None:
@@ -37,7 +37,8 @@ def test_v2vnet_by_its_definition(situation: Situation) -> None:
     h = own[0].relu()
     for _ in range(3):
         listened = fuser.listen(h)
-        h = fuser.gru(h, ((told[1] + listened).relu() + (told[2] + listened).relu()) / 2)
+        message = ((told[1] + listened).relu() + (told[2] + listened).relu()) / 2
+        h = fuser.gru(h[None], message[None])[0]
     expected = maps.mean(0) + fuser.out(h)
     everyone, world = torch.ones(1, 3, dtype=torch.bool), torch.zeros(1, dtype=torch.long)
     fused = fuser(maps[None], torch.ones(1, 3, SIZE, SIZE), world, everyone)[0]
