@@ -9,6 +9,9 @@ READY := .venv/.installed
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 TORCH := $(shell grep '^torch==' constraints.txt)
 DEVKIT := .venv-devkit
+PYTHONS ?= 3.12 3.13
+# The tests of `make lowest` and `make pythons`: everything that a dependency is used in, in a quarter of an hour.
+TOUCHING := tests/defenders tests/agents tests/cp_env
 LIBRARIES := benchmarl rllib supersuit torchrl
 ALONE = .venv-$*/bin/python -m pip install --disable-pip-version-check --quiet --retries 1
 LEADERBOARD ?= --defenders none ego_only prbi prbi:threshold=calibrated robosac pasac:score=similarity bayes bayes:max_verifications=8 oracle \
@@ -16,11 +19,11 @@ LEADERBOARD ?= --defenders none ego_only prbi prbi:threshold=calibrated robosac 
 	--ks 2 1 4 --budgets 0.3 0.1 --off-baseline-attacks pgd --n-scenes 3 --frames 20 --batch 3
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: demo test lint mutants bench attacks devkit docs libraries $(LIBRARIES:%=library-%) ray leaderboard sumo record clean
+.PHONY: demo test lint mutants campaign lowest pythons $(PYTHONS:%=python-%) bench attacks devkit docs libraries $(LIBRARIES:%=library-%) ray leaderboard sumo record clean
 .DEFAULT_GOAL := demo
 
 demo: $(READY) ## the small benchmark: prints a table and writes out/demo/ with a video of one episode
-	$(BIN)/python examples/benchmark.py --small --out out/demo
+	$(BIN)/cp-benchmark --small --out out/demo
 
 test: $(READY) ## every test, on two workers
 	$(BIN)/python -m pytest -n $(WORKERS) --benchmark-disable $(PYTEST_ARGS)
@@ -33,6 +36,26 @@ lint: $(READY) ## style, types, import contracts
 
 mutants: $(READY) ## put hand-made mistakes into a copy of the tree: the tests must catch each; a quarter of an hour
 	$(BIN)/python -m tests.mutants.run --workers $(WORKERS)
+
+campaign: $(READY) ## kills, hostile inputs, a soak and more, for hours; goes on where it was stopped; writes docs/reliability.md
+	$(BIN)/python -m tests.campaign.run --page docs/reliability.md
+
+lowest: ## the tests with the lowest version of every dependency that pyproject.toml declares, in an environment of its own
+	test -x .venv-lowest/bin/python || $(PYTHON) -m venv .venv-lowest
+	.venv-lowest/bin/python tests/project/lowest.py > .venv-lowest/lowest.txt
+	.venv-lowest/bin/python -m pip install --disable-pip-version-check --quiet --retries 1 --no-deps $(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX)) $(TORCH)
+	.venv-lowest/bin/python -m pip install --disable-pip-version-check --quiet --only-binary :all: -r .venv-lowest/lowest.txt $(TORCH)
+	.venv-lowest/bin/python -m pip install --disable-pip-version-check --quiet --no-deps -e .
+	.venv-lowest/bin/python -m pytest -W default -m 'not slow' --benchmark-disable $(TOUCHING) $(PYTEST_ARGS)
+
+pythons: $(PYTHONS:%=python-%) ## the tests under other versions of Python, each in an environment of its own
+
+$(PYTHONS:%=python-%): python-%: ## one of these versions; its interpreter is python3.x, or one of pyenv's
+	test -x .venv-$*/bin/python || $(firstword $(wildcard $(HOME)/.pyenv/versions/$*.*/bin/python) python$*) -m venv .venv-$*
+	$(ALONE) --no-deps $(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX)) $(TORCH)
+	grep -v '^torch==' constraints.txt > .venv-$*/constraints.txt
+	$(ALONE) -c .venv-$*/constraints.txt $(TORCH) -e '.[dev,agents,train,recurrent]'
+	.venv-$*/bin/python -m pytest -m 'not slow' --benchmark-disable $(TOUCHING) $(PYTEST_ARGS)
 
 bench: $(READY) ## speed, on one torch thread
 	$(BIN)/python -m pytest benchmarks --benchmark-only --benchmark-columns=median,iqr,rounds
@@ -74,11 +97,11 @@ record: sumo ## record the town's traffic again, in out/recordings
 	$(BIN)/python -m cp_env.scenes.sumo.record --out out/recordings --jobs $(WORKERS)
 
 clean: ## remove the virtual environments
-	rm -rf .venv $(DEVKIT) .venv-docs $(LIBRARIES:%=.venv-%)
+	rm -rf .venv $(DEVKIT) .venv-docs .venv-lowest $(PYTHONS:%=.venv-%) $(LIBRARIES:%=.venv-%)
 
 # torch first, by its exact version and without its dependencies: an open range would prefer the CUDA build.
 $(READY): pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
 	$(PIP) install --quiet --retries 1 --no-deps $(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX)) $(TORCH)
-	$(PIP) install --quiet -c constraints.txt -e '.[dev,train,recurrent]'
+	$(PIP) install --quiet -c constraints.txt -e '.[dev,agents,train,recurrent]'
 	touch $@

@@ -1,7 +1,7 @@
 """Attacks on collaborative perception, scripted and learned: what a malicious vehicle adds to the map it sends.
 
     attack = agents.make("pgd:restarts=3", objective="hide")
-    attack.reset(n_worlds, np.random.default_rng(0))
+    attack.reset(n_worlds, np.random.default_rng(0).spawn(n_worlds))  # one generator a world
     delta = attack.act(world.situation())
 
 Importing this package loads neither torch nor the world.
@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Attack", "load_policy", "make", "names"]
 
-_OURS = {"__init__.py", "__pycache__", "arena", "attacks", "learning", "protocol.py", "py.typed", "sb3.py"}
+_FOLDERS = {"__pycache__", "arena", "attacks", "calibration", "commands", "learning"}
+_OURS = {*_FOLDERS, "__init__.py", "protocol.py", "py.typed", "sb3.py"}
 
 if _strangers := sorted(entry.name for entry in Path(__file__).parent.iterdir() if entry.name not in _OURS):
     raise ImportError(

@@ -12,16 +12,25 @@ from typing import Any, Unpack
 import numpy as np
 from gymnasium import Wrapper
 from numpy.typing import NDArray
-from stable_baselines3.common.vec_env import VecEnv
-from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
 
 import agents.protocol  # noqa: F401 (it refuses to work beside a package of the same name)
 from cp_env.envs.actions.base import real_numbers
 from cp_env.envs.core import Game, Infos
 from cp_env.envs.joint import join, joint_space
+from cp_env.envs.parallel import options_text
+from cp_env.envs.render_mixin import RENDER_FPS
 from cp_env.settings import Options
 from cp_env.world.scene_cache import SceneBank
 from defenders.protocol import Defender
+from defenders.registry import shown
+
+try:
+    from stable_baselines3.common.vec_env import VecEnv
+    from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
+except ImportError as error:
+    raise ImportError(
+        "this needs Stable-Baselines3, which is installed with an extra: pip install 'cp-env[agents]'"
+    ) from error
 
 RENDER_MODES = (None, "rgb_array")
 
@@ -61,8 +70,8 @@ class AdversaryVecEnv(VecEnv):
     """
 
     def __init__(self, game: Game, *, joint: bool = False, render_mode: str | None = None) -> None:
-        if render_mode not in RENDER_MODES:
-            raise ValueError(f"render_mode must be one of {RENDER_MODES}, got {render_mode!r}")
+        if render_mode is not None and not (isinstance(render_mode, str) and render_mode in RENDER_MODES):
+            raise ValueError(f"render_mode must be one of {RENDER_MODES}, got {shown(render_mode)}")
         self.game, self.joint, self.render_mode, self.n_slots = game, joint, render_mode, len(game.slots)
         self.n_seats = 1 if joint else self.n_slots  # environments of SB3's a world
         self._actions: NDArray[Any] | None = None
@@ -73,6 +82,11 @@ class AdversaryVecEnv(VecEnv):
             joint_space(game.single_action_space, per_seat),
         )
         self.render_mode = render_mode
+        self.metadata = {**self.metadata, "render_fps": RENDER_FPS}  # type: ignore[dict-item]  # else SB3 films at 30
+
+    def __repr__(self) -> str:
+        of = f"{self.game.num_envs}, {options_text(self.game)}, joint={self.joint}"
+        return f"{type(self).__name__}({of}, render_mode={self.render_mode!r})"
 
     def reset(self) -> VecEnvObs:
         """Begin new episodes in all worlds; the observations (n, …), or a dict of them."""
@@ -116,8 +130,8 @@ class AdversaryVecEnv(VecEnv):
         """Nothing is held open."""
 
     def get_images(self) -> Sequence[np.ndarray | None]:
-        """One image a world, in the place of its first slot."""
-        return [self.game.render(i // self.n_seats) if i % self.n_seats == 0 else None for i in range(self.num_envs)]
+        """One image a world: environments of one world look the same, and SB3 tiles what it gets."""
+        return [self.game.render(e) for e in range(self.game.num_envs)]
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
         """The attribute of this object, or else of the game, once for each index."""

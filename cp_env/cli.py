@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cp_env.settings import Action, Fusion, ObservationKind
+from cp_env.types import Precision
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -41,9 +42,10 @@ def scenes(source: str = "town/test", skip_broken: bool = False) -> None:
         table.add_column(column, justify="left" if column in columns[:2] else "right", no_wrap=True)
     for name in opened.names():
         scene = opened.load(name)
-        path = np.nanmax(scene.pose[..., :2], axis=0) - np.nanmin(scene.pose[..., :2], axis=0)
+        place = scene.pose[:, ~np.isnan(scene.pose[..., 0]).all(axis=0), :2]  # of vehicles that are there at all
+        path = np.nanmax(place, axis=0) - np.nanmin(place, axis=0)
         parked = int((np.hypot(*path.T) < 0.5).sum())
-        numbers = (scene.n_connected, len(scene.size), parked, len(scene.obstacles))
+        numbers = (scene.n_connected, place.shape[1], parked, len(scene.obstacles))
         unit = "no" if scene.rsu is None else "yes"
         table.add_row(name, scene.kind, str(scene.n_frames), *map(str, numbers), unit)
     Console().print(table)
@@ -131,6 +133,7 @@ def play(
     action: Action = "guided",
     fusion: Fusion = "mean",
     detector: str = "cp_env",
+    precision: Precision = "float32",
     n_vehicles: int = 5,
     n_attackers: int = 2,
     max_frames: int = 50,
@@ -145,15 +148,16 @@ def play(
         action: "guided", "stealth", "basis" or "full".
         fusion: "mean", "max", "sum", "v2vnet" or "disconet".
         detector: "cp_env", "coperception:checkpoint=FILE", or "module:Class" of yours.
+        precision: of the detector's maps, fusion and decoder: "float32", or the faster "bfloat16".
         n_vehicles: n, vehicles that share their maps.
         n_attackers: k, malicious vehicles among them.
         max_frames: frames of the episode, five a second.
         seed: of the episode and of the actions.
     """
     from rich.console import Console
-    from rich.progress import track
 
     from cp_env import parallel_env
+    from cp_env.progress import track
     from cp_env.rendering.frame import write_gif
 
     env = parallel_env(
@@ -162,6 +166,7 @@ def play(
         action=action,
         fusion=fusion,
         detector=detector,
+        precision=precision,
         n_vehicles=n_vehicles,
         n_attackers=n_attackers,
         max_frames=max_frames,
@@ -171,7 +176,7 @@ def play(
     for number, agent in enumerate(env.possible_agents):
         env.action_space(agent).seed(seed + number)
     pictures, damage = [], 0.0
-    for _ in track(range(max_frames), "playing", console=Console(stderr=True)):
+    for _ in track(range(max_frames), "playing", unit="frame"):
         *_, infos = env.step({agent: env.action_space(agent).sample() for agent in env.agents})
         damage += infos[env.possible_agents[0]]["damage"]
         pictures.append(env.render())
@@ -187,6 +192,7 @@ def check(
     observation: ObservationKind = "features",
     fusion: Fusion = "mean",
     detector: str = "cp_env",
+    precision: Precision = "float32",
     scenes: str = "town/test",
     max_frames: int = 4,
     steps: int = 6,
@@ -200,6 +206,7 @@ def check(
         observation: "features" or "compact".
         fusion: "mean", "max", "sum", "v2vnet" or "disconet".
         detector: "cp_env", "coperception:checkpoint=FILE", or "module:Class" of yours.
+        precision: of the detector's maps, fusion and decoder: "float32", or the faster "bfloat16".
         scenes: a name such as "town/test", or kind:path?option=value&option=value (docs/scenes.md).
         max_frames: frames of an episode.
         steps: calls a rule plays; more than an episode is better.
@@ -217,6 +224,7 @@ def check(
             observation=observation,
             fusion=fusion,
             detector=detector,
+            precision=precision,
             scenes=scenes,
             max_frames=max_frames,
             render_mode="rgb_array",
@@ -301,30 +309,87 @@ def cache_bound(size: str) -> None:
     Console().print(f"{folder}: {left / 1e6:.1f} MB of encoded scenes are left", soft_wrap=True)
 
 
+SUMMARY = {
+    "scenes": "list the scenes of a source",
+    "scenes preview": "render a scene from above as a GIF, with tables of what is seen",
+    "scenes export": "write scenes in the layout of a public data set",
+    "evaluate": "accuracy of a detector without an attack, and its operating threshold",
+    "play": "play one episode of random attackers, and render it as a GIF",
+    "check": "check an environment against every rule",
+    "cache": "show where encoded scenes are kept",
+    "cache clear": "delete encoded scenes",
+    "cache bound": "delete encoded scenes until the others fit a size",
+    "version": "print the version; so does cp-env --version",
+}
+"""What each command does, as it is typed."""
+
+
+def _usage() -> str:
+    width = max(map(len, SUMMARY)) + 2
+    lines = (f"    cp-env {name:<{width}}{text}" for name, text in SUMMARY.items())
+    return "\n".join(
+        [
+            "usage: cp-env COMMAND [OPTIONS]",
+            "",
+            "Scenes, films, checks and the cache of cp_env.",
+            "",
+            *lines,
+            "",
+            "cp-env COMMAND --help lists the options of one.",
+            "Other programs: cp-train, cp-calibrate, cp-play, cp-benchmark, cp-arena.",
+        ]
+    )
+
+
 def main(args: list[str] | None = None) -> None:
     """Run the console script; `args` are the command line's unless given. A command may be two words."""
     import sys
 
+    args = sys.argv[1:] if args is None else args
+    if not args or args[0] in ("-h", "--help"):
+        print(_usage())
+        return
+    if args[0] == "--version":
+        args = ["version", *args[1:]]
+    if (command := " ".join(args[:2])) in SUMMARY and len(args) > 1:
+        args = args[2:]
+    elif (command := args[0].replace("-", " ")) in SUMMARY:
+        args = args[1:]
+    else:
+        from defenders.registry import unknown
+
+        raise SystemExit(f"cp-env: {unknown('command', args[0], tuple(SUMMARY))}")
+    try:
+        _run(command, args)
+    except (ValueError, ImportError) as error:  # bad input, or an extra that is not installed
+        raise SystemExit(f"cp-env: {error}") from error
+
+
+def _run(command: str, args: list[str]) -> None:
+    """One command with its options."""
     import tyro
 
+    from cp_env.paths import use_current_folder
+
+    use_current_folder()
+    prog = f"cp-env {command}"
+    if command == "evaluate":
+        from cp_env.detector.training import evaluate
+
+        evaluate.main(tyro.cli(evaluate.Args, prog=prog, description=evaluate.__doc__, args=args))
+        return
     commands: dict[str, Callable[..., None]] = {
         "scenes": scenes,
-        "scenes-export": scenes_export,
-        "scenes-preview": tyro.conf.configure(tyro.conf.PositionalRequiredArgs)(scenes_preview),
+        "scenes export": scenes_export,
+        "scenes preview": tyro.conf.configure(tyro.conf.PositionalRequiredArgs)(scenes_preview),
         "play": play,
         "check": check,
         "cache": cache,
-        "cache-clear": cache_clear,
-        "cache-bound": tyro.conf.configure(tyro.conf.PositionalRequiredArgs)(cache_bound),
+        "cache clear": cache_clear,
+        "cache bound": tyro.conf.configure(tyro.conf.PositionalRequiredArgs)(cache_bound),
         "version": version,
     }
-    args = sys.argv[1:] if args is None else args
-    if "-".join(args[:2]) in commands:
-        args = ["-".join(args[:2]), *args[2:]]
-    try:
-        tyro.extras.subcommand_cli_from_dict(commands, prog="cp-env", description=__doc__, args=args)
-    except (ValueError, ImportError) as error:  # bad input, or an extra that is not installed
-        raise SystemExit(f"cp-env: {error}") from error
+    tyro.cli(commands[command], prog=prog, args=args)
 
 
 if __name__ == "__main__":

@@ -94,7 +94,7 @@ def damage(detector: Toy, attack: agents.Attack, args: Args) -> float:
         1, defender="none", detector=detector, scenes=args.scene, max_frames=args.frames, budget=args.budget
     )
     world.reset([args.seed])
-    attack.reset(1, np.random.default_rng(args.seed))
+    attack.reset(1, np.random.default_rng(args.seed).spawn(1))
     return float(np.mean([world.step(attack.act(world.situation())).damage[0] for _ in range(args.frames)]))
 
 

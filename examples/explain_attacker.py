@@ -18,14 +18,14 @@ import numpy as np
 import torch
 import tyro
 from rich.console import Console
-from rich.progress import track
 from rich.table import Table
 
 from agents.learning.policy import Policy, load_policy, policy_names
-from agents.learning.training import open_bank
+from agents.learning.rollout import open_bank
 from cp_env.envs.actions import similarity_bounded
 from cp_env.envs.actions.guided import Guidance
 from cp_env.evaluation import Conditions, Rollout, Run
+from cp_env.progress import track
 from cp_env.world.situation import Outcome
 
 MOMENTS = ("calm", "alarmed", "sure")
@@ -110,7 +110,7 @@ def meaning(actions: np.ndarray, action: str, extent: float) -> np.ndarray:
 def main(args: Args) -> None:
     torch.set_num_threads(1)
     console = Console()
-    for name in track(args.policies, "playing"):
+    for name in track(args.policies, "playing", unit="policy"):
         played = watch(load_policy(name), args)
         total = sum(len(rows) for rows in played.values())
         table = Table("number", *MOMENTS, title=f"{name}: mean ± deviation over slots and frames")

@@ -4,138 +4,27 @@
     python examples/play_attacker.py --defenders prbi --policies runs/prbi-*/policy.safetensors
     python examples/play_attacker.py --defenders prbi --gif-frames 100
 
-Each attack's episodes are kept in a file under --out; started again, it goes on with those that are missing.
+The program `cp-play` on one page. Each attack's episodes are kept in a file under --out; started again, it goes on with
+those that are missing.
 """
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field
-from pathlib import Path
-
-import numpy as np
 import torch
 import tyro
 from rich.console import Console
-from rich.progress import track
 
-from agents.arena.entries import make_attack
-from agents.learning.policy import load_policy, policy_names
-from agents.learning.rollout import Episodes, play
-from agents.learning.sweep import slug
-from agents.learning.training import open_bank
-from cp_env.evaluation import Conditions, Run
-from cp_env.evaluation.plan.files import write_atomically
-from cp_env.evaluation.plan.runs import file_words
-from cp_env.evaluation.report.video import render_episode
-from cp_env.metrics.intervals import t_interval
-from cp_env.rendering.frame import write_gif
-
-HEADINGS = {"detection loss/frame": "damage", "attackers excluded": "excluded", "verifications/frame": "verifications"}
-COMMON = ["pgd", "random", "ramp:rate=0.3,first=0.2,steps=8"]
-
-THRESHOLD_AWARE = {
-    "prbi": "in_loop:threshold=0.35,steps=8",
-    "robosac": "in_loop:reference=ego,threshold=0.3,steps=8",
-    "pasac:score=similarity": "in_loop:reference=ego,groups=halves,threshold=0.37,steps=6",
-    "bayes": "in_loop:threshold=0.6,steps=8",
-}
-"""What each defender compares, its threshold-aware attack knows; see examples/reproduce/adaptive_attacks.py."""
-
-SHIPPED = {name: load_policy(name).defender for name in policy_names()}
-
-
-@dataclass
-class Args:
-    defenders: list[str] = field(default_factory=lambda: sorted(set(SHIPPED.values())))
-    """the defenders they meet"""
-    attacks: list[str] = field(default_factory=list)
-    """scripted ones, specs such as pgd:steps=30; if none is given, COMMON and the one of THRESHOLD_AWARE"""
-    policies: list[str] = field(default_factory=list)
-    """learned ones, names or .safetensors files; if none is given, those that ship for the defender"""
-    scenes: str = "town/test"
-    n_scenes: int = 3
-    """how many of them, one episode each"""
-    batch: int = 3
-    """worlds stepped together"""
-    frames: int = 50
-    """length of an episode"""
-    k: int = 2
-    """attackers of five vehicles"""
-    seed: int = 0
-    """of starts, attackers and noise, the same for every attack"""
-    out: Path = Path("runs/play")
-    """folder of episodes, attacks.json and attacks.md"""
-    gif_frames: int = 0
-    """also make a video of the first policy against the first defender"""
+from agents.commands.play import Args, conditions_of, film, play_all, write
 
 
 def main(args: Args) -> None:
     torch.set_num_threads(1)
-    bank = open_bank(args.scenes, args.n_scenes)
-    conditions = Conditions(scenes=bank.source, names=bank.source.names(), frames=args.frames)
-    runs = [(d, spec) for d in args.defenders for spec in [*learned(d, args), *scripted(d, args)]]
-    played = {(defender, spec): _play(defender, spec, conditions, args) for defender, spec in track(runs, "playing")}
-    text = "\n".join(line for defender in args.defenders for line in report(played, defender, args))
-    (args.out / "attacks.md").write_text(text + "\n")
-    (args.out / "attacks.json").write_text(
-        json.dumps([{"defender": d, "attack": a, **_lists(e)} for (d, a), e in played.items()], indent=1)
-    )
-    console = Console()
-    console.print(text, markup=False, highlight=False, soft_wrap=True)
+    conditions = conditions_of(args)  # scenes, frames, vehicles and fusion, the same for all
+    played = play_all(args, conditions)  # what `args.out` holds already is not played again
+    Console().print(write(played, args), markup=False, highlight=False, soft_wrap=True)
     if args.gif_frames:
-        defender = args.defenders[0]
-        run = Run(defender, learned(defender, args)[0], args.k, args.seed, conditions.names[-1:])
-        pictures = render_episode(run, conditions, bank, make_attack, args.gif_frames)
-        console.print(f"wrote {write_gif(pictures, args.out / 'attack.gif')}")
-
-
-def scripted(defender: str, args: Args) -> list[str]:
-    """Specs of the scripted attacks."""
-    return args.attacks or [*(spec for met, spec in THRESHOLD_AWARE.items() if met == defender), *COMMON]
-
-
-def learned(defender: str, args: Args) -> list[str]:
-    """Specs of the policies that meet a defender."""
-    return [f"policy:name={n}" for n in args.policies or [n for n, d in SHIPPED.items() if d == defender]]
-
-
-def _play(defender: str, spec: str, conditions: Conditions, args: Args) -> Episodes:
-    """The attack's episodes, from the disk if they are there."""
-    attack = make_attack(spec)
-    asked = {"attack": spec, **conditions.describe(), "k": args.k, "seed": args.seed}
-    asked["trained"] = getattr(attack, "notes", None)  # a policy trained anew under its old name is another one
-    path = args.out / slug(defender) / f"{file_words(spec)}.json"
-    if path.exists():
-        stored = json.loads(path.read_text())
-        if stored["asked"] == asked:
-            return Episodes(**{key: np.array(values) for key, values in stored["episodes"].items()})
-    bank = open_bank(args.scenes, args.n_scenes)
-    episodes = play(attack, conditions, bank, defender=defender, k=args.k, seed=args.seed, batch=args.batch)
-    write_atomically(path, json.dumps({"asked": asked, "episodes": _lists(episodes)}))
-    return episodes
-
-
-def _lists(episodes: Episodes) -> dict[str, list[float]]:
-    return {key: values.tolist() for key, values in asdict(episodes).items()}
-
-
-def report(played: dict[tuple[str, str], Episodes], defender: str, args: Args) -> Iterator[str]:
-    """Markdown: 95 % intervals over scenes; then each policy against the worst scripted attack, paired by scene."""
-    yield f"\nAgainst {defender}, {args.n_scenes} scenes of {args.scenes}, {args.frames} frames, k = {args.k}:\n"
-    yield f"| attack | {' | '.join(HEADINGS)} |"
-    yield f"|---|{'---|' * len(HEADINGS)}"
-    rows = {spec: episodes for (d, spec), episodes in played.items() if d == defender}
-    for spec, episodes in rows.items():
-        damage, *others = [t_interval(getattr(episodes, key)) for key in HEADINGS.values()]
-        yield f"| {spec} | {format(damage, '.3f')} | {' | '.join(format(figure, '.2f') for figure in others)} |"
-    yield ""
-    worst = max(scripted(defender, args), key=lambda spec: float(rows[spec].damage.mean()))
-    for spec in learned(defender, args):
-        more = t_interval(rows[spec].damage - rows[worst].damage)
-        yield f"{spec} does {format(more, '.3f')} more per frame than {worst}, paired by scene."
+        Console().print(f"wrote {film(args, conditions)}")
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Args))
+    main(tyro.cli(Args, description=__doc__))

@@ -2,15 +2,14 @@
 
     python examples/sweep_attackers.py --defenders prbi robosac --seeds 0 1
 
-Every run has a folder under --out; started again, finished runs are skipped and killed ones go on from their last
-checkpoint. Written there: sweep.json and sweep.md (what every configuration reached on the scenes held back),
-curves.png, and strongest/ with one policy a defender, which examples/play_attacker.py plays on test scenes.
+The program `cp-train sweep`, and a picture of the learning curves besides. Every run has a folder under --out; started
+again, finished runs are skipped and killed ones go on from their last checkpoint. Written there: sweep.json and
+sweep.md (what every configuration reached on the scenes held back), curves.png, and strongest/ with one policy a
+defender, which `cp-play` plays on test scenes.
 """
 
 from __future__ import annotations
 
-import os
-from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -20,49 +19,20 @@ import tyro
 from matplotlib.axes import Axes
 from rich.console import Console
 from rich.markdown import Markdown
-from tqdm import tqdm
 
-from agents.learning.sweep import TrainingRun, keep, plan_sweep, summarise, sweep, write_table
-from agents.learning.training import Recipe, open_bank
+from agents.commands.train_sweep import Args, learn, report
+from agents.learning.sweep import TrainingRun
 
 SHOWN = {"damage": "detection loss/frame", "excluded": "share of attackers excluded"}
 
 
-@dataclass
-class Args:
-    defenders: list[str] = field(default_factory=lambda: ["prbi", "robosac", "pasac:score=similarity", "bayes"])
-    """the defenders to beat"""
-    configurations: list[str] = field(default_factory=lambda: ["shared", "joint:joint=True,knowledge=white-box"])
-    """names, with what differs from the recipe: name:field=value,field=value"""
-    seeds: list[int] = field(default_factory=lambda: [0, 1])
-    recipe: Recipe = field(default_factory=lambda: Recipe(frames=3_000, n_scenes=8, every=4))
-    """what all runs share"""
-    workers: int = os.cpu_count() or 1
-    """runs trained at once, each in a process with one torch thread"""
-    out: Path = Path("runs/sweep")
-    keep: Path | None = None
-    """folder for the strongest policies; <out>/strongest if not given"""
-
-
 def main(args: Args) -> None:
     torch.set_num_threads(1)
-    runs = plan_sweep(
-        args.recipe, defenders=args.defenders, configurations=args.configurations, seeds=args.seeds, root=args.out
-    )
-    for scenes, n_scenes in ((args.recipe.scenes, args.recipe.n_scenes), (args.recipe.holdout, args.recipe.n_holdout)):
-        bank = open_bank(scenes, n_scenes)  # encoded here once, not by every worker
-        for name in bank.source.names():
-            bank.episode(name, args.recipe.n_vehicles, rsu=False).encode()
-    total = sum(run.recipe.n_segments * run.recipe.segment for run in runs)
-    with tqdm(total=total, unit="frame", desc="learning") as bar:
-        for frames in sweep(runs, args.workers):
-            bar.update(frames - bar.n)
-    table = write_table(summarise(runs), args.out, {"recipe": asdict(args.recipe), "seeds": args.seeds})
+    runs = learn(args)
+    table, kept = report(runs, args)
     draw(runs, args.out / "curves.png")
-    kept = keep(runs, args.keep or args.out / "strongest")
-    console = Console()
-    console.print(Markdown(table))
-    console.print(f"wrote {args.out}/sweep.md, sweep.json, curves.png and {', '.join(map(str, kept))}")
+    Console().print(Markdown(table))
+    Console().print(f"wrote {args.out}/sweep.md, sweep.json, curves.png and {', '.join(map(str, kept))}")
 
 
 def draw(runs: list[TrainingRun], path: Path) -> None:

@@ -11,6 +11,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # before torch is imported
 os.environ.setdefault("MPLBACKEND", "Agg")
 if not IS_WORKER:
     os.environ["CP_ENV_CACHE"] = tempfile.mkdtemp(prefix="cp-env-tests-")  # before a scene bank is opened
+    os.environ["CP_ENV_CALIBRATION"] = f"{os.environ['CP_ENV_CACHE']}/calibration"  # not the reader's own files
 
 import pytest
 import torch

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
+import defenders
+from cp_env.detector.protocol import DetectorLike, fusion_of
 from cp_env.evaluation import Conditions
 from cp_env.scenes import open_source
+from cp_env.settings import Fusion
+from cp_env.types import Precision
 from cp_env.world.streams import PUBLIC_KEY
 
 
@@ -22,6 +26,7 @@ class CommonOptions:
     vehicles: int = 5
     detector: str = "cp_env"  # or coperception:checkpoint=FILE, or module:Class of yours
     weights: str | None = None  # a file that `cp_env.detector.training.train` writes; else those that ship
+    precision: Precision = "float32"  # of the detector's maps, fusion and decoder; bfloat16 is faster (docs/speed.md)
     protocol: str = "strict"  # how AP is counted: "strict" or "coperception"
     batch: int = 4  # scenes in lock-step
     threads: int = 1  # torch threads of each process
@@ -37,17 +42,16 @@ class CommonOptions:
         Raises:
             ValueError: scenes or settings that cannot be played.
         """
+        known = {field.name for field in fields(Conditions)} - {"scenes", "names", "frames", "key"}
+        own = {field.name: getattr(self, field.name) for field in fields(CommonOptions) if field.name in known}
         return Conditions(
             self.scenes,
             spread(open_source(self.scenes).names(), self.n_scenes),
             self.frames,
             self.vehicles,
             ap=self.protocol,
-            weights=self.weights,
-            detector=self.detector,
-            sealed=self.sealed,
             key=PUBLIC_KEY if self.key is None else read_key(self.key),
-            **settings,
+            **{**own, **settings},
         )
 
 
@@ -67,6 +71,12 @@ def read_key(path: Path) -> str:
             "Make one by: openssl rand -hex 32"
         )
     return key
+
+
+def check_calibration(entries: Sequence[str], detector: DetectorLike, fusion: Fusion) -> None:
+    """Warn of each defender whose calibration was measured with other weights: here, so that no worker has to."""
+    for entry in entries:
+        defenders.make(entry).configure(fusion=fusion_of(detector, fusion))
 
 
 def spread(names: Sequence[str], wanted: int | None) -> tuple[str, ...]:

@@ -126,9 +126,7 @@ def load_policy(name: str | Path) -> Policy:
         notes, tensors = read_tensors(path)
         about = parse_json(notes.get("about", "{}"))
     except FileNotFoundError as error:
-        raise ValueError(
-            f"no policy at {path}: the file is missing; train one with examples/train_attacker.py"
-        ) from error
+        raise ValueError(f"no policy at {path}: the file is missing; train one with cp-train attack") from error
     except (OSError, ValueError) as error:
         raise ValueError(f"cannot read the policy in {path}: {error}; the file is broken") from error
     if not isinstance(about, dict) or about.get("format") != FORMAT:

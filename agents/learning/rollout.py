@@ -5,12 +5,18 @@ from __future__ import annotations
 import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float
 
+from cp_env.detector.registry import open_detector
 from cp_env.evaluation import Attack, Conditions, Learned, Rollout, plan_runs
+from cp_env.evaluation.plan.runs import file_words
+from cp_env.scenes.subset import SceneSubset
+from cp_env.settings import Fusion
 from cp_env.world.scene_cache import SceneBank
+from defenders.registry import Spec
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,6 +32,22 @@ class Episodes:
     @classmethod
     def joined(cls, parts: Sequence[Episodes]) -> Episodes:
         return cls(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls)))
+
+
+@lru_cache(maxsize=4)
+def open_bank(scenes: str, n_scenes: int, detector: str = "cp_env", fusion: Fusion = "mean") -> SceneBank:
+    """A bank of `n_scenes` of the scenes called so, under the detector called so; the same one if asked again.
+
+    Raises:
+        ValueError: unknown scenes or an unknown detector, or more scenes than there are.
+    """
+    return SceneBank(SceneSubset(scenes, n_scenes), open_detector(detector, fusion=fusion))
+
+
+def slug(defender: str) -> str:
+    """A name fit for files: `pasac:score=similarity` is `pasac-similarity`."""
+    spec = Spec.parse(defender)
+    return file_words("-".join([spec.name, *spec.options.values()]))
 
 
 def play(

@@ -20,8 +20,11 @@ from typing import Any
 import torch
 
 from agents.learning.callbacks import Evaluation, read_curve
+from agents.learning.rollout import slug
 from agents.learning.training import Recipe, train
+from cp_env.evaluation.execution.processes import end_with_parent
 from cp_env.metrics.intervals import t_interval
+from cp_env.world.allocator import keep_freed_memory
 from defenders.registry import Spec, typed_options
 
 POLL = 2.0
@@ -48,12 +51,6 @@ class TrainingRun:
     def best(self) -> Evaluation:
         """The evaluation with the highest damage."""
         return max(self.curve, key=lambda evaluation: evaluation["damage"])
-
-
-def slug(defender: str) -> str:
-    """A name fit for files: `pasac:score=similarity` is `pasac-similarity`."""
-    spec = Spec.parse(defender)
-    return "-".join([spec.name, *spec.options.values()])
 
 
 def plan_sweep(
@@ -107,7 +104,7 @@ def sweep(runs: Sequence[TrainingRun], workers: int) -> Iterator[int]:
             yield _learned(runs)
         return
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, mp_context=context, initializer=torch.set_num_threads, initargs=(1,)) as pool:
+    with ProcessPoolExecutor(workers, mp_context=context, initializer=_begin_worker) as pool:
         futures: set[Future[None]] = {pool.submit(_train, run) for run in runs}
         try:
             while futures:
@@ -117,6 +114,13 @@ def sweep(runs: Sequence[TrainingRun], workers: int) -> Iterator[int]:
                 yield _learned(runs)
         finally:  # an error, or a caller that stops asking: start nothing new
             pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _begin_worker() -> None:
+    """One torch thread; and a worker ends with whoever started it, also if that is killed."""
+    end_with_parent()
+    torch.set_num_threads(1)
+    keep_freed_memory()
 
 
 def _train(run: TrainingRun) -> None:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -24,13 +23,12 @@ import defenders
 from agents.learning.callbacks import Evaluation, FrameDamage, Holdout
 from agents.learning.policy import Policy, load_policy
 from agents.learning.ppo import PPO_OPTIONS, adopt, export, load_checkpoint, make_ppo, save_checkpoint
-from agents.learning.rollout import Episodes, play
+from agents.learning.rollout import Episodes, open_bank, play
 from agents.sb3 import AdversaryVecEnv, make_vec_env
-from cp_env.detector import load_detector
+from cp_env.detector.registry import precise
 from cp_env.evaluation import Conditions
-from cp_env.scenes.subset import SceneSubset
-from cp_env.settings import Action, Knowledge
-from cp_env.world.scene_cache import SceneBank
+from cp_env.settings import Action, Fusion, Knowledge, Settings
+from cp_env.types import Precision
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,12 +64,23 @@ class Recipe:
     """scenes on which the policy to keep is chosen"""
     n_holdout: int = 6
     """how many of them, one episode each"""
+    detector: str = "cp_env"
+    """the victim: our own, cp_env:weights=FILE, coperception:checkpoint=FILE, or module:Class of yours"""
+    fusion: Fusion = "mean"
+    """how maps are fused, of a detector that leaves it open"""
+    precision: Precision = "float32"
+    """of the detector's maps, fusion and decoder: bfloat16 is faster, see docs/speed.md"""
     every: int = 5
     """rollouts in a segment: then the policy is played on the scenes held back, and a checkpoint is written"""
     learning_rate: float = 1e-3
     gamma: float = 0.9
     begin: str | None = None
     """a policy whose actor is learned on: a name of agents.learning.policy.policy_names(), or a .safetensors file"""
+
+    @property
+    def victim(self) -> str:
+        """The detector's name with the precision in it."""
+        return precise(self.detector, self.precision)
 
     def __post_init__(self) -> None:
         defenders.make(self.defender)
@@ -81,9 +90,11 @@ class Recipe:
 
     @property
     def options(self) -> dict[str, Any]:
-        """Of the environment."""
-        copied = ("n_vehicles", "n_attackers", "action", "knowledge", "reward", "max_frames")
-        return {"observation": "compact"} | {name: getattr(self, name) for name in copied}
+        """Of the environment: whatever a recipe shares with its settings, but for what the detector fixes."""
+        shared = {f.name for f in fields(Settings)} & {f.name for f in fields(self)} - {"fusion"}
+        return {"observation": "compact"} | {
+            f.name: getattr(self, f.name) for f in fields(Settings) if f.name in shared
+        }
 
     @property
     def n_segments(self) -> int:
@@ -127,7 +138,7 @@ def train(
     )
     if tensorboard:
         model.set_logger(configure(str(folder), ["tensorboard"]))
-    checkpoint = folder / "checkpoint.pt"
+    checkpoint = folder / "checkpoint.safetensors"
     if checkpoint.exists():
         load_checkpoint(model, checkpoint)
     elif recipe.begin is not None:
@@ -153,7 +164,7 @@ def _claim(folder: Path, recipe: Recipe) -> None:
     path, mine = folder / "recipe.json", asdict(recipe)
     if path.exists():
         theirs = json.loads(path.read_text())
-        other = [f.name for f in fields(recipe) if f.name != "frames" and theirs.get(f.name) != mine[f.name]]
+        other = [f.name for f in fields(recipe) if f.name != "frames" and theirs.get(f.name, f.default) != mine[f.name]]
         if other:
             raise ValueError(f"{folder} holds a run with another {', '.join(other)}; choose another folder")
     path.write_text(json.dumps(mine, indent=1))
@@ -164,21 +175,20 @@ def _environment(recipe: Recipe) -> AdversaryVecEnv:
         recipe.worlds,
         defenders.make(recipe.defender),
         joint=recipe.joint,
-        bank=open_bank(recipe.scenes, recipe.n_scenes),
+        bank=open_bank(recipe.scenes, recipe.n_scenes, recipe.victim, recipe.fusion),
+        fusion=recipe.fusion,
         **recipe.options,
     )
 
 
-@lru_cache(maxsize=4)
-def open_bank(scenes: str, n_scenes: int) -> SceneBank:
-    """A bank of `n_scenes` of the scenes called so, under the detector that ships; the same one if asked again."""
-    return SceneBank(SceneSubset(scenes, n_scenes), load_detector())
-
-
 def _held_back(recipe: Recipe) -> Callable[[Policy], Episodes]:
-    bank = open_bank(recipe.holdout, recipe.n_holdout)
+    bank = open_bank(recipe.holdout, recipe.n_holdout, recipe.victim, recipe.fusion)
     conditions = Conditions(
-        scenes=bank.source, names=bank.source.names(), frames=recipe.max_frames, n_vehicles=recipe.n_vehicles
+        scenes=bank.source,
+        names=bank.source.names(),
+        frames=recipe.max_frames,
+        n_vehicles=recipe.n_vehicles,
+        fusion=recipe.fusion,
     )
     return lambda policy: play(policy, conditions, bank, defender=recipe.defender, k=recipe.n_attackers)
 

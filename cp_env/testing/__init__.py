@@ -14,7 +14,9 @@ import copy
 from collections.abc import Callable, Collection
 from typing import Any
 
+from cp_env.testing.attack import AttackRuleBroken, check_attack
 from cp_env.testing.cp_env_rules import CP_ENV_RULES, is_ours
+from cp_env.testing.defender import DefenderRuleBroken, check_defender
 from cp_env.testing.detector import DetectorRuleBroken, check_detector
 from cp_env.testing.parallel_env import PARALLEL_ENV_RULES, Rule
 from cp_env.testing.rollout import Case, Env, Violation
@@ -24,10 +26,14 @@ __all__ = [
     "CP_ENV_RULES",
     "LAWS",
     "PARALLEL_ENV_RULES",
+    "AttackRuleBroken",
+    "DefenderRuleBroken",
     "DetectorRuleBroken",
     "LawBroken",
     "Rule",
     "RuleBroken",
+    "check_attack",
+    "check_defender",
     "check_detector",
     "check_env",
     "check_scenes",

@@ -7,11 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
-import pytest
-
 import agents
-from agents.protocol import streams
 
 ROOT = Path(agents.__file__).parent
 
@@ -43,11 +39,3 @@ def test_a_strangers_init_over_ours_is_told(tmp_path: Path) -> None:
     (tmp_path / "agents/__init__.py").write_text("Runner = object\n")
     said = imported(tmp_path, "import agents.sb3")
     assert said.startswith("ImportError: the package `agents` that Python finds is not cp-env's"), said
-
-
-def test_one_generator_is_spawned_and_many_must_be_one_a_world() -> None:
-    assert len(streams(3, np.random.default_rng(0))) == 3
-    own = [np.random.default_rng(i) for i in range(2)]
-    assert streams(2, own) == own
-    with pytest.raises(ValueError, match="3 worlds, 2 generators"):
-        streams(3, own)

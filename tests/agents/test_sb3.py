@@ -1,10 +1,14 @@
 from __future__ import annotations
 
-from typing import Any
+import sys
+from pathlib import Path
+from types import ModuleType
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
 from gymnasium import Wrapper
+from stable_baselines3.common.vec_env import VecMonitor, VecVideoRecorder
 
 from agents.sb3 import AdversaryVecEnv, make_vec_env
 from cp_env.envs.core import Game
@@ -143,3 +147,52 @@ def test_joint_features_are_laid_end_to_end(bank: SceneBank) -> None:
     observations = env.reset()
     assert isinstance(observations, dict)
     assert all(env.observation_space[key].contains(value[0]) for key, value in observations.items())
+
+
+class Clip:
+    """MoviePy's clip, which keeps what the recorder gives it."""
+
+    made: ClassVar[list[Clip]] = []
+
+    def __init__(self, frames: list[np.ndarray], fps: float) -> None:
+        self.frames, self.fps, self.path = frames, fps, ""
+        self.made.append(self)
+
+    def write_videofile(self, path: str) -> None:
+        self.path = path
+
+
+@pytest.mark.parametrize("joint", [False, True], ids=["shared", "joint"])
+def test_sb3s_recorder_films_each_world_once_at_the_true_rate(
+    joint: bool, bank: SceneBank, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    names = ["moviepy", "moviepy.video", "moviepy.video.io", "moviepy.video.io.ImageSequenceClip"]
+    for name in names:
+        monkeypatch.setitem(sys.modules, name, ModuleType(name))
+    monkeypatch.setattr(sys.modules[names[-1]], "ImageSequenceClip", Clip, raising=False)
+    monkeypatch.setattr(Clip, "made", [])
+    venv = VecMonitor(_env(bank, worlds=3, joint=joint, render_mode="rgb_array"))
+    film = VecVideoRecorder(venv, str(tmp_path), lambda step: step == 0, video_length=2)
+    film.seed(0)
+    film.reset()
+    worlds = [venv.venv.game.render(e) for e in range(3)]  # type: ignore[attr-defined]
+    for t in range(2):
+        film.step(_actions(venv.venv, t))  # type: ignore[arg-type]
+    film.close()
+    (clip,) = Clip.made
+    assert clip.fps == 1 / bank.source.load("toy-0").dt == 5
+    assert len(clip.frames) == 3 and clip.path.endswith(".mp4")
+    height, width = worlds[0].shape[:2]
+    assert clip.frames[0].shape == (2 * height, 2 * width, 3)  # three worlds in a square of four
+    for e, picture in enumerate(worlds):
+        row, column = divmod(e, 2)
+        tile = clip.frames[0][row * height : (row + 1) * height, column * width : (column + 1) * width]
+        np.testing.assert_array_equal(tile, picture)
+    assert all(size % 2 == 0 for size in clip.frames[0].shape[:2]), "H.264 needs even sizes"
+
+
+def test_repr_shows_the_options(bank: SceneBank) -> None:
+    shown = repr(_env(bank, worlds=3, reward="stealth"))
+    assert shown.startswith("AdversaryVecEnv(3, defender='prbi', scenes='toy', n_vehicles=5, n_attackers=2, ")
+    assert "reward='stealth', budget=0.3, norm='linf'" in shown and f"max_frames={FRAMES}" in shown
+    assert shown.endswith("joint=False, render_mode=None)")

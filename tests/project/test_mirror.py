@@ -12,8 +12,6 @@ ROOT = Path(__file__).parents[2]
 REASONS = {
     "*/protocol.py": "declarations; conformance tests hold implementations to them",
     "cp_env/types.py": "declarations",
-    "cp_env/attack.py": "declarations",
-    "cp_env/envs/actions/base.py": "declarations; laws over the family in test_registry and test_guided",
     "cp_env/paths.py": "world/test_cache_folder.py",
     "cp_env/envs/core.py": "test_parallel, test_single and test_vector are views of it",
     "cp_env/envs/render_mixin.py": "test_parallel, test_single and test_vector",
@@ -32,6 +30,8 @@ REASONS = {
     "cp_env/scenes/preview/tables.py": "test_film.py",
     "cp_env/scenes/v2xsim/build.py": "test_source.py",
     "cp_env/scenes/v2xsim/index.py": "test_source.py",
+    "cp_env/scenes/v2xsim/indexing.py": "test_source.py",
+    "cp_env/scenes/v2xsim/tabled.py": "test_source.py and nuscenes/test_source.py",
     "cp_env/scenes/v2xsim/preprocessed_build.py": "test_preprocessed.py",
     "cp_env/scenes/v2xsim/writer.py": "test_source.py: every test reads what it wrote",
     "cp_env/evaluation/analysis/results.py": "agents/arena/test_cli.py",
@@ -43,15 +43,14 @@ REASONS = {
     "defenders/checks.py": "refusals in each defender's tests",
     "defenders/prbi/interpretation.py": "test_defender.py",
     "agents/arena/*.py": "arena/test_cli.py: own classes, bad input, killed runs",
+    "agents/commands/train_*.py": "commands/test_train.py and test_your_data.py",
     "agents/attacks/constraint.py": "test_gradient_options.py and cp_env/perturbation/test_ball.py",
     "agents/attacks/random_action.py": "test_gradient.py, laws over the family",
     "agents/attacks/registry.py": "test_gradient.py and defenders/test_registry.py: one grammar",
     "agents/attacks/spec.py": "test_gradient.py, refusals",
     "agents/attacks/objectives/untargeted.py": "test_gradient.py, laws over the family",
     "agents/learning/callbacks.py": "test_training.py, killed runs",
-    "agents/learning/ppo.py": "test_training.py",
     "agents/learning/rollout.py": "test_policy.py",
-    "agents/learning/sweep.py": "test_training.py",
 }
 """Modules without a test file of their own, and where they are tested."""
 

@@ -19,10 +19,12 @@ import pytest
 import yaml
 
 import defenders
+from agents.commands.train import COMMANDS
 from cp_env import cli
 from cp_env.scenes.export import export
 from cp_env.settings import DEFAULTS
 from cp_env.types import Detections
+from tests.helpers import dair_sets, nuscenes_sets
 from tests.helpers.coperception_files import write_files
 from tests.helpers.pages import ROOT, accepts, blocks, commands, in_tests, pages, run_page
 from tests.helpers.stand_in_town import Sketch
@@ -52,6 +54,14 @@ def _opv2v(folder: Path) -> None:
         export(Thin(ToySource(n_frames=1), 100), folder / name / "test", layout="opv2v")
 
 
+def _dair_v2x(folder: Path) -> None:
+    dair_sets.write_set(ToySource(n_frames=3), folder / "DAIR-V2X-C", every=100)
+
+
+def _nuscenes(folder: Path) -> None:
+    nuscenes_sets.write_set(ToySource(n_frames=1), folder / "nuscenes", ["scene-0061", "scene-0103"], every=100)
+
+
 def _checkpoint(folder: Path) -> None:
     for fusion in ("v2vnet", "disconet"):
         (folder / fusion).mkdir()
@@ -71,6 +81,8 @@ def _network(folder: Path) -> None:
 
 DATA: dict[str, Callable[[Path], None]] = {
     "docs/coperception.md": _checkpoint,
+    "docs/dair-v2x.md": _dair_v2x,
+    "docs/nuscenes.md": _nuscenes,
     "docs/opv2v.md": _opv2v,
     "docs/scenes.md": _network,
     "docs/v2x-sim.md": _v2x_sim,
@@ -161,7 +173,21 @@ def _silent(function: Callable[..., None]) -> Callable[..., None]:
     return nothing
 
 
+PROGRAMS = {
+    "cp-arena": "agents.arena.cli",
+    "cp-benchmark": "agents.commands.benchmark",
+    "cp-calibrate": "agents.commands.calibrate",
+    "cp-env evaluate": "cp_env.detector.training.evaluate",
+    "cp-play": "agents.commands.play",
+    **{f"cp-train {kind}": module for kind, module in COMMANDS.items()},
+}
+"""The module of each program whose options are its `Args`."""
+
+
 def _check(words: list[str]) -> None:
+    if program := next((p for p in PROGRAMS if words[: len(p.split())] == p.split()), None):
+        accepts(import_module(PROGRAMS[program]).Args, words[len(program.split()) :])
+        return
     match words:
         case ["make", target, *settings]:
             assert target in MAKE and all("=" in setting for setting in settings), words
@@ -174,14 +200,12 @@ def _check(words: list[str]) -> None:
             compile(code, "-c", "exec")
         case ["python", file, *given]:
             accepts(import_module(file.removesuffix(".py").replace("/", ".")).Args, given)
-        case ["cp-arena", *given]:
-            accepts(import_module("agents.arena.cli").Args, given)
         case ["cp-env", *given]:
             _given_to_cp_env(given)
         case ["pip" | ".venv/bin/pip", "install", *given]:
             extras = {extra for word in given for found in re.findall(r"\[(.*?)\]", word) for extra in found.split(",")}
             assert extras <= EXTRAS, words
-        case ["tensorboard", "--logdir", _] | ["cd", _] | ["git", "clone", *_]:
+        case ["tensorboard", "--logdir", _] | ["cd", _] | ["git", "clone", *_] | ["docker", "build" | "run", *_]:
             pass
         case _:
             raise AssertionError(f"an unknown program: {words}")

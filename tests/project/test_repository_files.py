@@ -72,3 +72,15 @@ def test_hooks_are_local_and_call_the_tools_of_lint() -> None:
 def test_the_form_of_a_subject(subject: str, fits: bool) -> None:
     (hook,) = [hook for hook in read(".pre-commit-config.yaml")["repos"][0]["hooks"] if hook["id"] == "subject"]
     assert bool(re.search(hook["entry"], f"{subject}\n\nwhy\n", re.MULTILINE)) == fits
+
+
+def test_the_image_ends_in_the_small_benchmark_and_copies_what_is_there() -> None:
+    lines = (ROOT / "Dockerfile").read_text().splitlines()
+    assert lines[-1] == 'CMD ["make", "demo"]'
+    copied = [word for line in lines if line.startswith("COPY ") for word in line.split()[1:-1]]
+    assert "pyproject.toml" in copied and all((ROOT / word).exists() for word in copied)
+    ready = next(index for index, line in enumerate(lines) if line == "RUN make .venv/.installed")
+    needed = {"Makefile", "constraints.txt", "pyproject.toml", "LICENSE", "cp_env", "defenders", "agents"}
+    before = {word for line in lines[:ready] if line.startswith("COPY ") for word in line.split()[1:-1]}
+    assert needed <= before, "an editable install needs them"
+    assert {".venv*", "out", ".git"} <= set((ROOT / ".dockerignore").read_text().split())

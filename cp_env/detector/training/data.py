@@ -16,13 +16,13 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
-from tqdm import tqdm
 
 from cp_env.detector.model import bev
 from cp_env.detector.model.detector import Detector
 from cp_env.detector.training.loss import Targets, stack, targets
 from cp_env.geometry.planar import LATTICE, grid_origin
 from cp_env.lidar.returns import returns_of
+from cp_env.progress import track
 from cp_env.types import Scene, SceneSource
 
 RETURNS_SEEN = 3
@@ -80,7 +80,7 @@ def prepare(source: SceneSource, cache: Path, *, stride: int = 2, limit: int | N
     folder.mkdir(parents=True, exist_ok=True)
     names = source.names()[:limit]
     return [
-        _rasterised(source, name, folder, stride) for name in tqdm(names, desc=f"sweeps of {source.name}", unit="scene")
+        _rasterised(source, name, folder, stride) for name in track(names, f"sweeps of {source.name}", unit="scene")
     ]
 
 
@@ -127,7 +127,7 @@ def encode(scenes: Sequence[RasterisedScene], detector: Detector, folder: Path) 
     detector.eval()
     return [
         replace(rasterised, maps=_encoded(rasterised, detector, folder / f"{number:03d}.npy"))
-        for number, rasterised in enumerate(tqdm(scenes, desc="maps", unit="scene"))
+        for number, rasterised in enumerate(track(scenes, "maps", unit="scene"))
     ]
 
 

@@ -1,4 +1,8 @@
-"""Accuracy of a detector without an attack: `python -m cp_env.detector.training.evaluate --scenes town/test`.
+"""Accuracy of a detector without an attack.
+
+    cp-env evaluate --scenes town/test
+    cp-env evaluate --scenes mine:Folder:folder=data --weights runs/mine/mean.safetensors --calibrate
+    cp-env evaluate --scenes mine:Folder:folder=data --detector mine:Toy
 
 AP of the first vehicles of every scene, fused in groups of growing size around the ego, vehicle 0 (strict, unless
 `--protocol` says otherwise); the Jaccard similarity of consecutive frames, the ego's motion taken out; and how large
@@ -18,16 +22,18 @@ import tyro
 from jaxtyping import Float
 from rich.console import Console
 from rich.table import Table
-from tqdm import tqdm
 
-from cp_env.detector.model.detector import Detector
-from cp_env.detector.model.weights import about, load_detector, read_detector, save_detector
+from cp_env.detector.model.weights import about, read_detector, save_detector
+from cp_env.detector.protocol import DetectorLike, UsesEgoSweep, with_ego_context
+from cp_env.detector.registry import open_detector
 from cp_env.detector.training.data import RETURNS_SEEN
 from cp_env.geometry.planar import grid_origin
 from cp_env.lidar.returns import returns_of
 from cp_env.metrics.average_precision import ApMeter
 from cp_env.metrics.ground_truth import rows_in_range, truth_boxes
 from cp_env.metrics.similarity import view_similarity_many
+from cp_env.paths import use_current_folder
+from cp_env.progress import track
 from cp_env.scenes import open_source
 from cp_env.types import Detections, Scene, SceneSource, Sweep, View
 
@@ -42,7 +48,9 @@ class Args:
     """Options of a measurement."""
 
     scenes: str = "town/test"
-    weights: Path | None = None  # a file; by default the weights that ship
+    detector: str = "cp_env"  # our own; coperception:checkpoint=FILE; or module:Class of yours
+    weights: Path | None = None  # a file of our own detector's; by default the weights that ship
+    fusion: str = "mean"  # of the weights that ship, or of a detector that leaves it open
     n_vehicles: int = 5
     frames: int = 100  # of each scene, from its first on
     limit: int | None = None  # so many scenes only
@@ -82,10 +90,10 @@ class Report:
     high: float  # their 99th percentile
 
 
-def perceive_scenes(detector: Detector, source: SceneSource, args: Args) -> Iterator[Seen]:
+def perceive_scenes(detector: DetectorLike, source: SceneSource, args: Args) -> Iterator[Seen]:
     """Every frame of every scene, in order."""
     names = source.names()[: args.limit]
-    for name in tqdm(names, desc=f"evaluating {source.name}", unit="scene"):
+    for name in track(names, f"evaluating {source.name}", unit="scene"):
         scene = source.load(name)
         if scene.n_connected < args.n_vehicles:
             raise ValueError(
@@ -99,7 +107,7 @@ def perceive_scenes(detector: Detector, source: SceneSource, args: Args) -> Iter
 
 
 @torch.no_grad()
-def perceive_frame(detector: Detector, scene: Scene, frame: int, sweeps: Sequence[Sweep]) -> Seen:
+def perceive_frame(detector: DetectorLike, scene: Scene, frame: int, sweeps: Sequence[Sweep]) -> Seen:
     """One frame through the whole detector; the first sweep is the ego's."""
     n = len(sweeps)
     maps = detector.encode(sweeps)
@@ -110,7 +118,8 @@ def perceive_frame(detector: Detector, scene: Scene, frame: int, sweeps: Sequenc
     received, coverage = detector.warp(maps, pose), detector.coverage(pose)
     groups = torch.ones(n, n, dtype=torch.bool, device=detector.device).tril()
     world = torch.zeros(n, dtype=torch.long, device=detector.device)
-    dense = detector.perceive(received[None], coverage[None], world, groups)
+    context = detector.ego_context(sweeps[:1]) if isinstance(detector, UsesEgoSweep) else None
+    dense = with_ego_context(detector, context).perceive(received[None], coverage[None], world, groups)
     ego = int(scene.connected[0])
     rows = rows_in_range(scene, frame, ego, detector.extent)
     returns = sum(returns_of(scene, frame, sweep)[rows] for sweep in sweeps)
@@ -172,14 +181,24 @@ def report(seen: Sequence[Seen], threshold: float, protocol: str = "strict") -> 
 
 
 def calibrate(seen: Sequence[Seen]) -> float:
-    """The operating threshold of largest F1 x Jaccard of consecutive frames: boxes that are right, and stay."""
+    """The operating threshold of largest F1 x Jaccard of consecutive frames: boxes that are right, and stay.
+
+    Raises:
+        ValueError: no threshold finds a vehicle that is there in two frames in a row.
+    """
     full = meters(seen)[-1]
 
     def utility(threshold: float) -> float:
         precision, recall = precision_recall(full, threshold)
         return 2 * precision * recall / max(precision + recall, 1e-9) * jaccard(seen, threshold)
 
-    return float(max(GRID, key=utility))
+    best = max(GRID, key=utility)
+    if not utility(best) > 0:  # nan where no scene has two frames
+        raise ValueError(
+            f"at no threshold from {GRID[0]:g} to {GRID[-1]:g} does the detector find a vehicle that is there, and "
+            "find it again in the next frame; nothing was written. Train it longer, or give scenes of two frames"
+        )
+    return float(best)
 
 
 def table(result: Report) -> Table:
@@ -204,17 +223,18 @@ def remarks(result: Report) -> str:
 
 def main(args: Args) -> None:
     """Measure, or calibrate and measure."""
+    use_current_folder()
     torch.set_num_threads(args.threads)
+    if args.calibrate and args.weights is None:
+        raise ValueError("calibration writes into the weights: name the file with --weights")
+    if args.weights is not None and args.detector != "cp_env":
+        raise ValueError(f"--weights are of the detector cp_env, not of {args.detector!r}; give one of the two")
     source = open_source(args.scenes)
-    if args.weights is None:
-        detector = load_detector(device=args.device)
-    else:
-        detector = read_detector(args.weights).to(args.device).freeze()
+    spec = args.detector if args.weights is None else f"cp_env:weights={args.weights}"
+    detector = open_detector(spec, fusion=args.fusion, device=args.device)
     seen = list(perceive_scenes(detector, source, args))
     threshold = detector.threshold
-    if args.calibrate:
-        if args.weights is None:
-            raise ValueError("calibration writes into the weights: name the file with --weights")
+    if args.calibrate and args.weights is not None:
         threshold = calibrate(seen)
         trained = read_detector(args.weights)
         trained.threshold = threshold

@@ -32,13 +32,14 @@ from pathlib import Path
 import numpy as np
 import torch
 import tyro
-from tqdm import trange
 
 from cp_env.detector.model.detector import Detector
-from cp_env.detector.model.weights import read_detector, save_detector
+from cp_env.detector.model.weights import FOLDER, names, read_detector, save_detector
 from cp_env.detector.training.data import Batch, RasterisedScene, draw, encode, prepare
 from cp_env.detector.training.distillation import divergence, early_fusion, features, teach
 from cp_env.detector.training.loss import detection_loss
+from cp_env.paths import use_current_folder
+from cp_env.progress import Progress, say
 from cp_env.scenes import open_source
 from cp_env.types import SceneSource
 
@@ -60,8 +61,8 @@ class Args:
     agents: int = 5  # sensors a frame
     learning_rate: float = 3e-3  # at its highest: one cycle
     weight_decay: float = 1e-2
-    init: Path | None = None  # weights to start from; by default random ones
-    encoder: Path | None = None  # weights whose encoder stays as it is and whose decoder is started from
+    init: Path | None = None  # weights to start from, a file or a name that ships (mean); by default random ones
+    encoder: Path | None = None  # weights, likewise, whose encoder stays as it is and whose decoder is started from
     teacher: Path | None = None  # weights of an early-fusion detector to learn from
     distillation: float = 10.0  # weight of what is learned of it
     early: bool = False  # fuse points, not maps: train a teacher
@@ -105,6 +106,11 @@ def learning_rate(step: int, args: Args) -> float:
     return args.learning_rate * max(0.5 * (1 + math.cos(math.pi * (step - rise) / max(args.steps - rise, 1))), 1e-3)
 
 
+def weights_file(weights: Path) -> Path:
+    """The file itself, or that of the weights that ship under this name ("mean", "max", …)."""
+    return FOLDER / f"{weights}.safetensors" if str(weights) in names() else weights
+
+
 def begin(args: Args) -> Detector:
     """The detector before its first step."""
     with torch.random.fork_rng(devices=[]):  # torch's layers draw their first weights from the global generator
@@ -112,13 +118,13 @@ def begin(args: Args) -> Detector:
         if args.encoder is None and args.init is None:
             return Detector(fusion=args.fusion)
         if args.init is not None:
-            detector = read_detector(args.init)
+            detector = read_detector(weights_file(args.init))
             if detector.fusion != args.fusion:
                 raise ValueError(
                     f"{args.init} fuses by {detector.fusion}, not {args.fusion}: name it, or use --encoder"
                 )
             return detector
-        known = read_detector(Path(str(args.encoder)))
+        known = read_detector(weights_file(Path(str(args.encoder))))
         detector = Detector(fusion=args.fusion, channels=known.channels, threshold=known.threshold)
         detector.encoder.load_state_dict(known.encoder.state_dict())
         detector.decoder.load_state_dict(known.decoder.state_dict())
@@ -130,15 +136,33 @@ def train(args: Args, scenes: list[RasterisedScene]) -> Detector:
     """Train, or go on training, until `args.steps`; checkpoints in `args.out`."""
     torch.set_num_threads(args.threads)
     detector = begin(args).to(args.device)
-    teacher = None if args.teacher is None else read_detector(args.teacher).to(args.device).eval().requires_grad_(False)
+    teacher = None if args.teacher is None else read_detector(weights_file(args.teacher)).to(args.device)
+    if teacher is not None:
+        teacher.eval().requires_grad_(False)
     optimizer = torch.optim.AdamW([p for p in detector.parameters() if p.requires_grad], weight_decay=args.weight_decay)
     args.out.mkdir(parents=True, exist_ok=True)
     checkpoint = args.out / "checkpoint.pt"
     first = _resume(checkpoint, detector, optimizer)
     detector.train()
     detector.encoder.train(args.encoder is None)
+    say(f"plan: {args.steps - first} steps of {args.frames} frames on {len(scenes)} scenes, {args.threads} threads")
+    with Progress("training", args.steps, initial=first) as progress:
+        _steps(detector, teacher, optimizer, args, scenes, first, progress)
+    return detector
+
+
+def _steps(
+    detector: Detector,
+    teacher: Detector | None,
+    optimizer: torch.optim.Optimizer,
+    args: Args,
+    scenes: list[RasterisedScene],
+    first: int,
+    progress: Progress,
+) -> None:
+    """The steps from `first` on, with checkpoints."""
     smooth = 0.0
-    for step in (bar := trange(first, args.steps, initial=first, total=args.steps, desc="training", mininterval=5)):
+    for step in range(first, args.steps):
         batch = draw(
             scenes,
             np.random.default_rng([args.seed, step]),
@@ -155,12 +179,11 @@ def train(args: Args, scenes: list[RasterisedScene]) -> Detector:
         torch.nn.utils.clip_grad_norm_(detector.parameters(), 10.0)
         optimizer.step()
         smooth = loss.item() if step == first else 0.98 * smooth + 0.02 * loss.item()
-        bar.set_postfix(loss=f"{smooth:.3f}", refresh=False)
+        progress.advance(note=f"loss {smooth:.3f}")
         if (step + 1) % args.checkpoint_every == 0 or step + 1 == args.steps:
-            _checkpoint(checkpoint, detector, optimizer, step + 1)
+            _checkpoint(args.out / "checkpoint.pt", detector, optimizer, step + 1)
             with (args.out / "loss.jsonl").open("a") as curve:
                 curve.write(json.dumps({"step": step + 1, "loss": round(smooth, 4)}) + "\n")
-    return detector
 
 
 def _checkpoint(path: Path, detector: Detector, optimizer: torch.optim.Optimizer, step: int) -> None:
@@ -194,13 +217,14 @@ def load(args: Args, source: SceneSource) -> list[RasterisedScene]:
     scenes = prepare(source, cache, stride=args.stride)
     if args.encoder is None:
         return scenes
-    detector = read_detector(args.encoder).to(args.device)
+    detector = read_detector(weights_file(args.encoder)).to(args.device)
     key = hashlib.sha256(f"{source.digest} {args.stride} {detector.maps_digest}".encode()).hexdigest()[:16]
     return encode(scenes, detector, cache / f"maps-{key}")
 
 
-def main(args: Args) -> None:
-    """Prepare the sweeps, train, write the weights."""
+def main(args: Args) -> Path:
+    """Prepare the sweeps, train, write the weights; returns their file."""
+    use_current_folder()
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     torch.set_num_threads(args.threads)
     source = open_source(args.scenes)
@@ -209,7 +233,9 @@ def main(args: Args) -> None:
         key: str(value) for key, value in asdict(args).items() if key not in ("out", "cache", "threads", "device")
     }
     name = "early" if args.early else args.fusion
-    save_detector(detector, args.out / f"{name}.safetensors", trained={**settings, "source": source.digest})
+    path = args.out / f"{name}.safetensors"
+    save_detector(detector, path, trained={**settings, "source": source.digest})
+    return path
 
 
 if __name__ == "__main__":

@@ -162,6 +162,9 @@ def test_a_changed_class_is_played_anew(custom_classes: Path) -> None:
         (["--design", "round"], "unknown design 'round'.*one-factor-at-a-time, full"),
         (["--n-scenes", "3"], "n_scenes must be 1 to 2, not 3"),
         (["--ks", "5"], "0 <= k < n"),
+        (["--rank-by", "damge"], "unknown measure 'damge' .did you mean 'damage'.*: choose one of damage, ap50"),
+        (["--screen", "toy:any"], "screened on other scenes than those reported on; both hold toy-0, toy-1"),
+        (["--screen", "elsewhere:any", "--screen-scenes", "3"], "n_scenes must be 1 to 2, not 3"),
     ],
 )
 def test_bad_input_is_named_in_one_line(words: list[str], message: str, tmp_path: Path) -> None:
@@ -174,6 +177,30 @@ def test_learned_attacks_and_own_classes_are_made_by_name() -> None:
     policy = make_attack("policy:name=prbi-0")
     assert isinstance(policy, Learned) and policy.options["observation"]
     assert type(make_attack("agents.attacks.noise:NoPerturbation")).__name__ == "NoPerturbation"
+
+
+def test_the_worst_attack_is_picked_on_the_screening_scenes(custom_classes: Path) -> None:
+    """It is played there by every defender, with the same seeds, and named with each result."""
+    attacks = ("--attacks", "noise", "mine_too:Shout:level=0.5", "--defenders", "none", "mine_too:Halves")
+    screen = ("--screen", "elsewhere:any", "--screen-scenes", "1", "--rank-by", "ap50", "damage")
+    main([*SMALL, *attacks, *screen, "--no-videos"])
+    out = custom_classes / "out" / "arena"
+    data = json.loads((out / "arena.json").read_text())
+    runs = [json.loads(file.read_text()) for file in (out / "runs").iterdir()]
+    there = [run for run in runs if run["conditions"]["scenes"] == "elsewhere:any"]
+    assert {(run["defender"], run["attack"], run["seed"]) for run in there} == {
+        (run["defender"], run["attack"], run["seed"]) for run in runs
+    }
+    assert (data["ranked_by"], data["screening"]["scenes"]) == ("ap50", "elsewhere:any")
+    assert [*data["further_rankings"]] == ["damage"] and data["about"]["screen"] == "elsewhere:any"
+    for line in data["defenders"]:
+        ((attack, n_scenes),) = line["opponents"]
+        assert n_scenes == 2 and attack in attacks
+        for measure in ("ap50", "damage"):
+            values = data[measure][line["entry"]][attack].values()
+            assert line[measure]["mean"] == pytest.approx(sum(values) / 2), "every column is under the attack named"
+    assert sum(line["place"]["first"] for line in data["defenders"]) == pytest.approx(1)
+    assert "1 scene of elsewhere:any" in (out / "arena.md").read_text()
 
 
 # ── killed and gone on with ──────────────────────────────────────────────────────────────────────────────────────────
@@ -196,9 +223,16 @@ def uninterrupted(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def table(out: Path) -> dict[str, Any]:
     """All results, but the speed and the command."""
-    found: dict[str, Any] = json.loads((out / "arena.json").read_text())
-    rows = [{**row, "frames_per_second": None} for row in found["rows"]]
-    return {**found, "rows": rows, "about": None}
+    found: dict[str, Any] = untimed(json.loads((out / "arena.json").read_text()))
+    return {**found, "about": None}
+
+
+def untimed(found: Any) -> Any:
+    """The same without what depends on how fast it was played."""
+    if isinstance(found, dict):
+        timed = ("frames_per_second", "milliseconds", "late")
+        return {key: untimed(value) for key, value in found.items() if key not in timed}
+    return [untimed(item) for item in found] if isinstance(found, list) else found
 
 
 def alive(pid: int) -> bool:

@@ -28,7 +28,7 @@ class Killed(Exception):
 @pytest.fixture(autouse=True)
 def toy(bank: SceneBank, monkeypatch: pytest.MonkeyPatch) -> None:
     """Segments of six frames on the toy crossings."""
-    monkeypatch.setattr(training, "open_bank", lambda scenes, n_scenes: bank)
+    monkeypatch.setattr(training, "open_bank", lambda *_: bank)
     monkeypatch.setitem(training.PPO_OPTIONS, "n_steps", FRAMES)
     monkeypatch.setitem(training.PPO_OPTIONS, "batch_size", 6)
     monkeypatch.setitem(training.PPO_OPTIONS, "n_epochs", 2)

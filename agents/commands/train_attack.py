@@ -1,0 +1,52 @@
+"""Train an attack with PPO against a defender, follow it in TensorBoard, keep the policy that did most damage.
+
+    cp-train attack --seed 1
+    cp-train attack --defender robosac --joint --knowledge white-box
+    cp-train attack --detector cp_env:weights=runs/mine/mean.safetensors --scenes mine:Folder:folder=data
+    tensorboard --logdir runs
+
+Started again with the same --out it goes on from its last checkpoint, bit for bit as if it had never been stopped.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from importlib.util import find_spec
+from pathlib import Path
+
+import tyro
+from rich.console import Console
+
+from agents.learning.callbacks import Evaluation
+from agents.learning.training import Recipe, train
+from cp_env.progress import Progress, say
+
+
+@dataclass(frozen=True)
+class Args:
+    """Train an attack."""
+
+    recipe: tyro.conf.OmitArgPrefixes[Recipe] = field(default_factory=Recipe)
+    out: Path | None = None
+    """folder for checkpoints, curves and the policy; runs/<defender>-<seed> if not given"""
+
+    @property
+    def folder(self) -> Path:
+        """Of the run."""
+        return self.out or Path("runs") / f"{self.recipe.defender}-{self.recipe.seed}"
+
+
+def follow(args: Args) -> list[Evaluation]:
+    """Train, with a bar or lines of progress, and TensorBoard's curves where it is installed; returns the curve."""
+    recipe = args.recipe
+    say(f"plan: {recipe.n_segments * recipe.segment} frames in {recipe.worlds} worlds, seed {recipe.seed}, one process")
+    with Progress("learning", recipe.n_segments * recipe.segment, "frame") as progress:
+        return train(recipe, args.folder, tensorboard=find_spec("tensorboard") is not None, report_progress=progress.to)
+
+
+def program(args: Args, command: str) -> None:
+    """Train, and say what was reached."""
+    del command
+    most = max(evaluation["damage"] for evaluation in follow(args))
+    Console().print(f"highest detection loss/frame on {args.recipe.holdout}: {most:.3f}", soft_wrap=True)
+    Console().print(f"the policy: {args.folder / 'policy.safetensors'}; play it with cp-play", soft_wrap=True)

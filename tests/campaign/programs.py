@@ -1,0 +1,57 @@
+"""`cp-arena` and the benchmark on toy scenes (`--scenes toy:any`) under a toy detector, each as a process of its own.
+
+python -m tests.campaign.programs arena ARGUMENTS
+python -m tests.campaign.programs benchmark ARGUMENTS
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from tests.helpers import toy_arena
+
+NAMES = ("arena", "benchmark")
+COMMON = ("--scenes", "toy:any", "--frames", "3", "--batch", "1", "--defenders", "none", "prbi")
+ATTACKS = ("--attacks", "none", "pgd:steps=1")
+QUIET = {"arena": ("--no-videos",), "benchmark": ("--no-gif", "--ks", "2")}
+
+
+def arguments(name: str, out: Path, *, seeds: int, workers: int, sealed: bool = False) -> list[str]:
+    """What `python` is given to run the program on so many seeds."""
+    numbers = [str(seed) for seed in range(seeds)]
+    rest = ["--seeds", *numbers, "--workers", str(workers), "--out", str(out), *(["--sealed"] if sealed else [])]
+    return ["-m", "tests.campaign.programs", name, *COMMON, *ATTACKS, *QUIET[name], *rest]
+
+
+def table(name: str, out: Path) -> Any:
+    """All results that the program wrote, but the speed and the command."""
+    found: dict[str, Any] = json.loads((out / {"arena": "arena.json", "benchmark": "results.json"}[name]).read_text())
+    rows = [{**row, "frames_per_second": None} for row in found["rows"]]
+    return {**found, "rows": rows, "about": None}
+
+
+def main(words: Sequence[str]) -> None:
+    """Run one of the programs."""
+    name, *rest = words
+    if name == "arena":
+        from agents.arena import cli
+
+        cli.draw_plots = lambda results: {}  # matplotlib takes seconds
+        cli.main(rest)
+    elif name == "benchmark":
+        from agents.commands import benchmark
+
+        benchmark.main(rest)
+    else:
+        raise SystemExit(f"the programs are {', '.join(NAMES)}, not {name!r}")
+
+
+if __name__ in ("__main__", "__mp_main__"):  # its workers, too
+    toy_arena.install()
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
