@@ -36,7 +36,7 @@ from cp_env.scenes.sumo.vehicle_sizes import draw_sizes
 from cp_env.scenes.town import KINDS
 from cp_env.types import Scene, Sweep
 
-VERSION = 3
+VERSION = 4
 """Part of the digest: rises when the same files give other scenes."""
 
 SECONDS = 40.0  # s of traffic at a time, to choose the 20 s of a scene from
