@@ -153,7 +153,7 @@ def test_signals_stop_cars_and_let_them_go(split: str) -> None:
     assert stopped >= len(TOWNS[split].names())
 
 
-@pytest.mark.parametrize("split", [split for split in TOWNS if split.startswith("junction/")])
+@pytest.mark.parametrize("split", TOWNS)
 def test_traffic_flows_and_a_quarter_of_the_egos_wait(split: str) -> None:
     town = TOWNS[split]
     scenes = [town.load(name) for name in town.names()]
