@@ -36,7 +36,9 @@ def record(name: str, regime: Regime, pace: Pace, seed: int) -> Scene:
             town = build_streets(*draw_streets(regime.streets, rng), Path(folder))
             tracks = traffic.drive(town, Path(folder), rng, crowd=int(rng.integers(*regime.crowd)), seconds=SECONDS)
         selected = draw_selection(tracks, town, regime, pace, rng)
-        scene = selected and build_scene(name, regime.style, town, tracks, selected, rng)
+        if selected is None:
+            continue
+        scene = build_scene(name, regime.style, town, tracks, selected, rng)
         if scene is not None:
             return scene
     raise RuntimeError(f"scene {name!r}: no window with enough vehicles in radio range in {TRIES} networks")
