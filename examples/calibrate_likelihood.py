@@ -42,7 +42,7 @@ from scipy.stats import norm
 import agents
 from cp_env.detector import load_detector
 from cp_env.metrics.similarity import view_similarity_many
-from cp_env.scenes import open_source
+from cp_env.scenes.subset import SceneSubset
 from cp_env.settings import Fusion
 from cp_env.types import View
 from cp_env.world.scene_cache import SceneBank
@@ -58,7 +58,8 @@ FULL_VIEW_EDGES = (0, 0.02, 0.06, 0.15, 0.3, 0.45, 0.6, 0.8, 1)
 
 @dataclass
 class Args:
-    scenes: str = "town/calibration"
+    scenes: str = "town/calibration+junction/calibration"
+    n_scenes: int | None = None  # so many, spread evenly over them (all by default)
     n_vehicles: int = 5
     start: int = 20  # frame of the scene that is the first
     frames: int = 7  # of every scene, a benign one first
@@ -125,7 +126,7 @@ class Measurement:
 
 
 def survey(args: Args) -> Iterator[Measurement]:
-    bank = SceneBank(open_source(args.scenes), load_detector(args.fusion))
+    bank = SceneBank(SceneSubset(args.scenes, args.n_scenes), load_detector(args.fusion))
     folder = args.out / "-".join(map(str, (bank.detector.digest, args.start, args.frames, args.ages, args.seed)))
     folder.mkdir(parents=True, exist_ok=True)
     attacks = [("none", 0), *product((args.loud, *args.stealthy), range(1, args.n_vehicles))]
@@ -311,7 +312,10 @@ def main(args: Args) -> None:
         console.print({what: round(score, 3) for what, score in left_out(measurements, args).items()})
     if args.write:
         attacks = " ".join([args.loud, *args.stealthy])
-        source = f"{args.scenes}, detector {load_detector(args.fusion).digest}, {attacks}, {args.frames} frames a scene"
+        source = (
+            f"{args.n_scenes or 'all'} scenes of {args.scenes}, detector {load_detector(args.fusion).digest}, "
+            f"{attacks}, {args.frames} frames a scene"
+        )
         about = {"source": source, "command": shlex.join(["python", *sys.argv])}
         table = {**about, **stored(densities(values, args), args)}
         args.write.write_text(json.dumps(table) + "\n")

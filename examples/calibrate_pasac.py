@@ -33,7 +33,7 @@ from rich.table import Table
 import agents
 from cp_env.detector import load_detector
 from cp_env.metrics.intervals import t_interval
-from cp_env.scenes import open_source
+from cp_env.scenes.subset import SceneSubset
 from cp_env.settings import Fusion
 from cp_env.world.scene_cache import SceneBank
 from cp_env.world.world import World
@@ -47,11 +47,11 @@ PAPER = {"agreement": 0.08, "similarity": 0.3}
 
 @dataclass
 class Args:
-    scenes: str = "town/calibration"
+    scenes: str = "town/calibration+junction/calibration"
     fusion: Fusion = "mean"
-    n_scenes: int | None = None  # the first so many (all by default)
+    n_scenes: int | None = None  # so many, spread evenly over them (all by default)
     n_vehicles: int = 5
-    frames: int = 6  # of every scene
+    frames: int = 6  # of every scene, from a drawn one on
     attack: str = "pgd"
     seed: int = 0
     threads: int = 1
@@ -81,14 +81,21 @@ class Surveyor(Defender, Informed):
 
 def survey(args: Args) -> dict[str, Found]:
     """Both scores by (size, attackers) and scene."""
-    bank = SceneBank(open_source(args.scenes), load_detector(args.fusion))
+    bank = SceneBank(SceneSubset(args.scenes, args.n_scenes), load_detector(args.fusion))
     found: dict[str, Found] = {score: defaultdict(lambda: defaultdict(list)) for score in PAPER}
-    jobs = list(itertools.product(bank.source.names()[: args.n_scenes], range(args.n_vehicles)))
+    jobs = list(itertools.product(bank.source.names(), range(args.n_vehicles)))
     for number, (name, k) in enumerate(track(jobs, f"surveying {args.fusion}")):
         rng = np.random.default_rng([args.seed, number])
         attackers = tuple(sorted((1 + rng.permutation(args.n_vehicles - 1)[:k]).tolist()))
         world = World(
-            1, defender=Surveyor(), bank=bank, n_vehicles=args.n_vehicles, attackers=attackers, grace_frames=0
+            1,
+            defender=Surveyor(),
+            bank=bank,
+            n_vehicles=args.n_vehicles,
+            attackers=attackers,
+            grace_frames=0,
+            max_frames=args.frames,
+            fusion=args.fusion,
         )
         world.reset([np.random.SeedSequence([args.seed, number])], options={"scene": name})
         attack = agents.make(args.attack if k else "none")
@@ -170,7 +177,10 @@ def main(args: Args) -> None:
     console = Console(width=170)
     console.print(*(table(score, found[score], epsilon[score], args) for score in PAPER), sep="\n")
     console.print("drawn:", str(draw(found, epsilon, args)))
-    source = f"{args.scenes}, detector {load_detector(args.fusion).digest}, {args.attack}, {args.frames} frames a scene"
+    source = (
+        f"{args.n_scenes or 'all'} scenes of {args.scenes}, detector {load_detector(args.fusion).digest}, "
+        f"{args.attack}, {args.frames} frames a scene"
+    )
     command = shlex.join(["python", *sys.argv])
     for score in PAPER if args.write is not None else ():
         path = args.write / EGO_ONLY[score].name  # type: ignore[operator]

@@ -32,7 +32,7 @@ from rich.table import Table
 import agents
 from cp_env.detector import load_detector
 from cp_env.metrics.intervals import Interval, t_interval
-from cp_env.scenes import open_source
+from cp_env.scenes.subset import SceneSubset
 from cp_env.world.scene_cache import SceneBank
 from cp_env.world.world import World
 from defenders.protocol import Defender, Frame, Informed, Inspection, Query, Verdict
@@ -43,10 +43,11 @@ Key = tuple[int, int]  # group size, attackers in it
 
 @dataclass
 class Args:
-    scenes: str = "town/calibration"
+    scenes: str = "town/calibration+junction/calibration"
     fusion: str = "mean"  # or max, sum, v2vnet, disconet
+    n_scenes: int | None = None  # so many, spread evenly over them (all by default)
     n_vehicles: int = 5
-    frames: int = 11  # of every scene; the first is the reference of the second
+    frames: int = 11  # of every scene, from a drawn one on; the first is the reference of the second
     attack: str = "pgd"
     seed: int = 0
     threads: int = 1
@@ -79,11 +80,20 @@ class Surveyor(Defender, Informed):
 
 def survey(args: Args) -> dict[Key, dict[str, list[float]]]:
     """Similarities by (size, attackers) and scene."""
-    bank = SceneBank(open_source(args.scenes), load_detector(args.fusion))
+    bank = SceneBank(SceneSubset(args.scenes, args.n_scenes), load_detector(args.fusion))
     found: dict[Key, dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))
     jobs = list(itertools.product(bank.source.names(), range(args.n_vehicles)))
     for number, (name, k) in enumerate(track(jobs, f"surveying {args.fusion}")):
-        world = World(1, defender=Surveyor(), bank=bank, n_vehicles=args.n_vehicles, n_attackers=k, grace_frames=0)
+        world = World(
+            1,
+            defender=Surveyor(),
+            bank=bank,
+            n_vehicles=args.n_vehicles,
+            n_attackers=k,
+            grace_frames=0,
+            max_frames=args.frames,
+            fusion=args.fusion,
+        )
         world.reset([np.random.SeedSequence([args.seed, number])], options={"scene": name})
         attack = agents.make(args.attack if k else "none")
         attack.reset(1, np.random.default_rng([args.seed, number]))
@@ -179,7 +189,8 @@ def main(args: Args) -> None:
     report(found, epsilon, args)
     if args.write:
         source = (
-            f"{args.scenes}, detector {load_detector(args.fusion).digest}, {args.attack}, {args.frames} frames a scene"
+            f"{args.n_scenes or 'all'} scenes of {args.scenes}, detector {load_detector(args.fusion).digest}, "
+            f"{args.attack}, {args.frames} frames a scene"
         )
         write_thresholds(args.write, args.fusion, epsilon, source=source, command=shlex.join(["python", *sys.argv]))
 
