@@ -61,7 +61,7 @@ class Args:
     scenes: str = "town/calibration+junction/calibration"
     n_scenes: int | None = None  # so many, spread evenly over them (all by default)
     n_vehicles: int = 5
-    start: int = 20  # frame of the scene that is the first
+    start: int = 40  # frame of the scene that is the first: at the beginning many egos stand
     frames: int = 7  # of every scene, a benign one first
     ages: int = 3  # frames between a view and its reference, at most (without an attack; else one)
     loud: str = "pgd"  # an attack that shows in every view that contains it
@@ -99,7 +99,7 @@ class Surveyor(Defender, Informed):
         self.full_view: list[Float[np.ndarray, " X"]] = []
 
     def inspect(self, frame: Frame) -> Inspection:
-        views = yield Query(self.groups, verification=False)
+        views = yield Query(self.groups)
         found = np.full((self.ages, len(views), len(views)), np.nan)
         for age, earlier in enumerate(reversed(self.past)):
             found[age] = view_similarity_many(list(product(views, earlier))).reshape(found[age].shape)

@@ -72,7 +72,7 @@ class Surveyor(Defender, Informed):
         self.measured: list[tuple[Key, dict[str, float]]] = []
 
     def inspect(self, frame: Frame) -> Inspection:
-        ego_only, *views = yield Query([{0}, *self.groups], verification=False)
+        ego_only, *views = yield Query([{0}, *self.groups])
         for group, view in zip(self.groups, views, strict=True):
             scores = {score: getattr(frame, score)(view, ego_only) for score in PAPER}
             self.measured.append(((len(group), len(group & self.attackers)), scores))

@@ -69,7 +69,7 @@ class Surveyor(Defender, Informed):
         self.measured: list[tuple[Key, float]] = []
 
     def inspect(self, frame: Frame) -> Inspection:
-        views = yield Query(self.groups, verification=False)
+        views = yield Query(self.groups)
         if self.reference is not None:
             for group, view in zip(self.groups, views, strict=True):
                 key = len(group), len(group & self.attackers)
