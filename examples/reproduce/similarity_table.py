@@ -33,6 +33,7 @@ import agents
 from cp_env.detector import load_detector
 from cp_env.metrics.intervals import Interval, t_interval
 from cp_env.scenes.subset import SceneSubset
+from cp_env.settings import Fusion
 from cp_env.world.scene_cache import SceneBank
 from cp_env.world.world import World
 from defenders.protocol import Defender, Frame, Informed, Inspection, Query, Verdict
@@ -44,7 +45,7 @@ Key = tuple[int, int]  # group size, attackers in it
 @dataclass
 class Args:
     scenes: str = "town/calibration+junction/calibration"
-    fusion: str = "mean"  # or max, sum, v2vnet, disconet
+    fusion: Fusion = "mean"
     n_scenes: int | None = None  # so many, spread evenly over them (all by default)
     n_vehicles: int = 5
     frames: int = 11  # of every scene, from a drawn one on; the first is the reference of the second
