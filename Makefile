@@ -93,8 +93,9 @@ leaderboard: $(READY) ## run the arena and write docs/leaderboard.md
 sumo: $(READY) ## the traffic simulator, about 260 MB: its tests are skipped without it
 	$(PIP) install --quiet -c constraints.txt -e '.[sumo]'
 
-record: sumo ## record the town's traffic again, in out/recordings
+record: sumo ## record the traffic of town and junction again, in out/recordings
 	$(BIN)/python -m cp_env.scenes.sumo.record --out out/recordings --jobs $(WORKERS)
+	$(BIN)/python -m cp_env.scenes.sumo.record --regime junction --out out/recordings/junction --jobs $(WORKERS)
 
 clean: ## remove the virtual environments
 	rm -rf .venv $(DEVKIT) .venv-docs .venv-lowest $(PYTHONS:%=.venv-%) $(LIBRARIES:%=.venv-%)

@@ -30,7 +30,7 @@ from cp_env.world.scene_cache import SceneBank
 
 @dataclass(frozen=True)
 class Args(Victim):
-    scenes: str = "town/calibration"
+    scenes: str = "town/calibration+junction/calibration"
     episodes: Episodes = field(default_factory=Episodes)
     smoothing: Smoothing = field(default_factory=Smoothing)
     threads: int = 1

@@ -35,7 +35,7 @@ PAPER = {"agreement": 0.08, "similarity": 0.3}
 
 @dataclass(frozen=True)
 class Args(Victim):
-    scenes: str = "town/calibration"
+    scenes: str = "town/calibration+junction/calibration"
     n_scenes: int | None = None  # the first so many (all by default)
     n_vehicles: int = 5
     frames: int = 6  # of every scene

@@ -47,7 +47,7 @@ class Episodes:
     """
 
     n_vehicles: int = 5
-    start: int = 20
+    start: int = 40
     frames: int = 7
     ages: int = 3
     loud: str = "pgd"

@@ -47,7 +47,7 @@ OF = {
 class Args(Victim):
     """Measure what defenders rest on."""
 
-    scenes: str = "town/calibration"
+    scenes: str = "town/calibration+junction/calibration"
     """a source, none that results are reported on"""
     n_scenes: int | None = None
     """so many of them, spread evenly (all by default)"""

@@ -6,12 +6,13 @@ import sys
 from importlib import import_module
 from importlib.util import find_spec
 
+from cp_env.scenes.pooled import Pooled
 from cp_env.scenes.spec import PathSpec
-from cp_env.scenes.town import KINDS, SPLITS, Town
+from cp_env.scenes.town import FAMILIES, KINDS, SPLITS, Junction, Town
 from cp_env.types import SceneSource
 from defenders.registry import Registry, Spec, shown, unknown
 
-__all__ = ["KINDS", "SCENES", "SOURCES", "SPLITS", "Town", "open_source"]
+__all__ = ["FAMILIES", "KINDS", "SCENES", "SOURCES", "SPLITS", "Junction", "Town", "open_source"]
 
 SOURCES = {
     "v2x-sim": "cp_env.scenes.v2xsim.source:V2XSim",
@@ -26,7 +27,7 @@ SOURCES = {
 """Sources with a path: kind to `module:class`, imported when first opened. The class takes the path, then keywords."""
 
 SCENES: Registry[SceneSource] = Registry(
-    "source of scenes", {"town": Town}, SceneSource, methods=(("names", "load", "sweeps"),)
+    "source of scenes", dict(FAMILIES), SceneSource, methods=(("names", "load", "sweeps"),)
 )
 """Sources without a path, and `module:Class` for yours."""
 
@@ -35,9 +36,10 @@ def open_source(spec: str | SceneSource) -> SceneSource:
     """The source that `spec` names; a source itself is handed back.
 
     Args:
-        spec: "town" (its training split), "town/train", "town/calibration", "town/test"; a kind of `SOURCES`, a path
-            and options, such as "v2x-sim:/data/V2X-Sim-2.0?split=test&scenes=5,8"; "module:Class" of yours, with
-            options as "module:Class:option=value"; or an object.
+        spec: "town" (its training split), "town/train", "town/calibration", "town/test"; "junction" likewise; several
+            of those joined by "+", as one source; a kind of `SOURCES`, a path and options, such as
+            "v2x-sim:/data/V2X-Sim-2.0?split=test&scenes=5,8"; "module:Class" of yours, with options as
+            "module:Class:option=value"; or an object.
 
     Returns:
         The source.
@@ -54,12 +56,18 @@ def open_source(spec: str | SceneSource) -> SceneSource:
         return spec
     if spec.partition(":")[0] in SOURCES:
         return _open(PathSpec.parse(spec))
+    parts = spec.split("+")
+    if len(parts) > 1 and all(part.partition("/")[0] in FAMILIES for part in parts):
+        return Pooled([open_source(part) for part in parts])
     family, _, split = spec.partition("/")
     if family == "town" and split in SPLITS:
         return Town(split)
+    if family == "junction" and split in SPLITS:
+        return Junction(split)
     name = Spec.parse(spec)
     if name.name not in SCENES.entries and (name.place is None or not _is_module(name.place[0])):
-        known = ["town", *(f"town/{split}" for split in SPLITS), *(f"{kind}:PATH" for kind in SOURCES), "module:Class"]
+        shipped = [text for family in FAMILIES for text in (family, *(f"{family}/{split}" for split in SPLITS))]
+        known = [*shipped, *(f"{kind}:PATH" for kind in SOURCES), "module:Class"]
         where = f" (there is no module {name.place[0]!r})" if name.place else ""
         raise ValueError(f"{unknown('scenes', spec, known)}{where}")
     return SCENES.make(spec)

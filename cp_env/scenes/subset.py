@@ -15,16 +15,17 @@ class SceneSubset:
 
     Args:
         source: a scene source, or its name.
-        n: number of scenes.
+        n: number of scenes; all by default.
 
     Raises:
         ValueError: more scenes than the source holds, or none.
     """
 
-    def __init__(self, source: str | SceneSource, n: int) -> None:
+    def __init__(self, source: str | SceneSource, n: int | None = None) -> None:
         self._source = open_source(source)
         self.name, self.digest = self._source.name, self._source.digest
         names = self._source.names()
+        n = len(names) if n is None else n
         if not 1 <= n <= len(names):
             raise ValueError(f"{self.name} holds {len(names)} scenes: ask for 1 to {len(names)} of them, not {n}")
         self._names = tuple(names[i] for i in np.linspace(0, len(names) - 1, n).astype(int))

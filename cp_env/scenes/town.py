@@ -1,4 +1,8 @@
-"""The scenes that ship with the package: recorded traffic in three kinds of streets, in three disjoint splits."""
+"""The scenes that ship with the package: recorded traffic of two regimes, each in three splits that share no street.
+
+`town` has three kinds of streets and five to eight connected vehicles strung out along them. `junction` has eight round
+one crossing: what one of them sees, others see too.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +11,7 @@ import json
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
+from typing import ClassVar
 
 from cp_env.scenes.formats import recording
 from cp_env.types import Scene, Sweep
@@ -24,15 +29,22 @@ class Town:
         split: "train", "calibration" or "test"; no two of them share a street.
         folder: where `python -m cp_env.scenes.sumo.record` wrote; the recordings of the package by default.
 
+    Attributes: `family` is the name before the slash, `folder` the recordings of the package, `kinds` what the names of
+    its scenes tell apart.
+
     Raises:
         ValueError: unknown split; the folder's index is missing or broken, or names a recording that is missing.
     """
 
-    def __init__(self, split: str = "train", folder: Path = DATA) -> None:
+    family: ClassVar[str] = "town"
+    folder: ClassVar[Path] = DATA
+    kinds: ClassVar[tuple[str, ...]] = KINDS
+
+    def __init__(self, split: str = "train", folder: Path | None = None) -> None:
         if split not in SPLITS:
             raise ValueError(f"split must be one of {', '.join(SPLITS)}; got {split!r}")
-        self.name = f"town/{split}"
-        self._folder = Path(folder)
+        self.name = f"{self.family}/{split}"
+        self._folder = Path(self.folder if folder is None else folder)
         self._names = _index(self._folder / INDEX, split)
         self.digest = self._digest()  # changes with any recording of the split and with the LiDAR
 
@@ -68,7 +80,19 @@ class Town:
         return self._folder / f"{name}.npz"
 
 
-@lru_cache(maxsize=128)
+class Junction(Town):
+    """One split of the scenes round one junction: eight connected vehicles, and most vehicles seen by several."""
+
+    family = "junction"
+    folder = DATA / "junction"
+    kinds = ("junction",)
+
+
+FAMILIES: dict[str, type[Town]] = {family.family: family for family in (Town, Junction)}
+"""The regimes that ship, by the name before the slash."""
+
+
+@lru_cache(maxsize=256)
 def _load(path: Path, name: str) -> Scene:
     scene = recording.read(path, name)
     for array in (scene.pose, scene.size, scene.connected, scene.obstacles, scene.rsu):

@@ -24,6 +24,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
+from agents.arena.conditions import spread
 from agents.calibration.previous_frame import survey, thresholds
 from agents.calibration.samples import Samples, pooled
 from agents.commands.common import Victim
@@ -36,7 +37,8 @@ from cp_env.world.scene_cache import SceneBank
 
 @dataclass(frozen=True)
 class Args(Victim):
-    scenes: str = "town/calibration"
+    scenes: str = "town/calibration+junction/calibration"
+    n_scenes: int | None = None  # so many of them, spread evenly (all by default)
     n_vehicles: int = 5
     frames: int = 11  # of every scene; the first is the reference of the second
     attack: str = "pgd"
@@ -112,7 +114,7 @@ def main(args: Args) -> None:
     bank = SceneBank(open_source(args.scenes), args.open_detector())
     found = survey(
         bank,
-        bank.source.names(),
+        spread(bank.source.names(), args.n_scenes),
         n_vehicles=args.n_vehicles,
         frames=args.frames,
         attack=args.attack,

@@ -52,7 +52,8 @@ class Args:
     weights: Path | None = None  # a file of our own detector's; by default the weights that ship
     fusion: str = "mean"  # of the weights that ship, or of a detector that leaves it open
     n_vehicles: int = 5
-    frames: int = 100  # of each scene, from its first on
+    frames: int = 100  # of each scene
+    start: int = 0  # its first frame of those
     limit: int | None = None  # so many scenes only
     protocol: str = "strict"  # how AP is counted: "strict" or "coperception" (see `cp_env.metrics.average_precision`)
     calibrate: bool = False  # choose the operating threshold on these scenes and write it into `weights`
@@ -99,7 +100,7 @@ def perceive_scenes(detector: DetectorLike, source: SceneSource, args: Args) -> 
             raise ValueError(
                 f"scene {name} holds {scene.n_connected} connected vehicles, not {args.n_vehicles}; ask for fewer"
             )
-        frames = range(min(args.frames, scene.n_frames))
+        frames = range(args.start, min(args.start + args.frames, scene.n_frames))
         for start in range(0, len(frames), CHUNK):
             part = frames[start : start + CHUNK]
             for frame, sweeps in zip(part, source.sweeps(scene, part), strict=True):

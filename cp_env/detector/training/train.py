@@ -15,9 +15,13 @@ DiscoNet learns from a teacher that fuses points:
 Kill it whenever you like: it goes on from its last checkpoint, and ends with the weights it would have had, because
 batches come from (seed, step) alone. The weights still need their operating threshold, which
 
-    python -m cp_env.detector.training.evaluate --scenes town/calibration --weights runs/max/max.safetensors --calibrate
+    python -m cp_env.detector.training.evaluate --scenes town/calibration+junction/calibration \\
+        --weights runs/max/max.safetensors --calibrate
 
 chooses and writes into them.
+
+With `--precision bfloat16` layers compute in half precision, where the processor is faster at it; weights, moments and
+the loss stay in single precision.
 """
 
 from __future__ import annotations
@@ -28,13 +32,16 @@ import logging
 import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import torch
 import tyro
 
+from cp_env.detector.model.decoder import Dense
 from cp_env.detector.model.detector import Detector
 from cp_env.detector.model.weights import FOLDER, names, read_detector, save_detector
+from cp_env.detector.training.checkpoint import resume, write_checkpoint
 from cp_env.detector.training.data import Batch, RasterisedScene, draw, encode, prepare
 from cp_env.detector.training.distillation import divergence, early_fusion, features, teach
 from cp_env.detector.training.loss import detection_loss
@@ -43,8 +50,6 @@ from cp_env.progress import Progress, say
 from cp_env.scenes import open_source
 from cp_env.types import SceneSource
 
-log = logging.getLogger(__name__)
-
 
 @dataclass(frozen=True)
 class Args:
@@ -52,7 +57,7 @@ class Args:
 
     fusion: str = "mean"
     out: Path = Path("runs/detector")  # checkpoint, loss curve, weights
-    scenes: str = "town/train"
+    scenes: str = "town/train+junction/train"
     stride: int = 2  # of the frames of each scene, one in so many
     steps: int = 2500
     frames: int = 6  # a step
@@ -68,6 +73,7 @@ class Args:
     early: bool = False  # fuse points, not maps: train a teacher
     seed: int = 0
     device: str = "cpu"  # as torch spells it; a run may go on on another
+    precision: Literal["float32", "bfloat16"] = "float32"  # of the layers; weights are float32
     threads: int = 2
     checkpoint_every: int = 100
     cache: Path | None = None  # of the rasterised sweeps and their maps; by default in the user's cache directory
@@ -80,22 +86,40 @@ class Args:
 
 
 def batch_loss(
-    detector: Detector, batch: Batch, *, early: bool = False, teacher: Detector | None = None, weight: float = 0.0
+    detector: Detector,
+    batch: Batch,
+    *,
+    early: bool = False,
+    teacher: Detector | None = None,
+    weight: float = 0.0,
+    half: bool = False,
 ) -> torch.Tensor:
     """L_det of all views of a batch: encode every sweep once, warp to every ego, fuse and decode every group.
 
-    `early`: fuse the sweeps instead, encode and decode every group. With a teacher, its L_KD is added, times `weight`.
+    Args:
+        detector: in training.
+        batch: views and their targets.
+        early: fuse the sweeps instead, encode and decode every group.
+        teacher: its L_KD is added, times `weight`.
+        weight: of L_KD.
+        half: layers compute in bfloat16 where torch holds that to be safe; the loss is of single precision.
+
+    Returns:
+        The loss, a mean over the visible vehicles of the batch.
     """
-    if early:
-        fused = detector.encode_grids(early_fusion(batch, detector.extent))
-    else:
-        maps = (detector.encode_grids(batch.occupancy) if batch.maps is None else batch.maps)[batch.agent]
-        received = detector.warp(maps, batch.ego_T_sender)
-        fused = detector.fuse(received, detector.coverage(batch.ego_T_sender), batch.world, batch.groups)
-    if teacher is None:
-        return detection_loss(detector.decode(fused), batch.targets)
-    dense, known = features(detector, fused)
-    return detection_loss(dense, batch.targets) + weight * divergence(known, teach(teacher, batch))
+    with torch.autocast(batch.occupancy.device.type, dtype=torch.bfloat16, enabled=half):
+        if early:
+            fused = detector.encode_grids(early_fusion(batch, detector.extent))
+        else:
+            maps = (detector.encode_grids(batch.occupancy) if batch.maps is None else batch.maps)[batch.agent]
+            received = detector.warp(maps, batch.ego_T_sender)
+            fused = detector.fuse(received, detector.coverage(batch.ego_T_sender), batch.world, batch.groups)
+        dense, known = features(detector, fused)
+        taught = [] if teacher is None else teach(teacher, batch)
+    loss = detection_loss(Dense(dense.logits.float(), dense.boxes.float()), batch.targets)
+    if not taught:
+        return loss
+    return loss + weight * divergence([part.float() for part in known], [part.float() for part in taught])
 
 
 def learning_rate(step: int, args: Args) -> float:
@@ -141,8 +165,8 @@ def train(args: Args, scenes: list[RasterisedScene]) -> Detector:
         teacher.eval().requires_grad_(False)
     optimizer = torch.optim.AdamW([p for p in detector.parameters() if p.requires_grad], weight_decay=args.weight_decay)
     args.out.mkdir(parents=True, exist_ok=True)
-    checkpoint = args.out / "checkpoint.pt"
-    first = _resume(checkpoint, detector, optimizer)
+    checkpoint = args.out / "checkpoint.safetensors"
+    first = resume(checkpoint, detector, optimizer)
     detector.train()
     detector.encoder.train(args.encoder is None)
     say(f"plan: {args.steps - first} steps of {args.frames} frames on {len(scenes)} scenes, {args.threads} threads")
@@ -174,39 +198,23 @@ def _steps(
         for group in optimizer.param_groups:
             group["lr"] = learning_rate(step, args)
         optimizer.zero_grad()
-        loss = batch_loss(detector, batch, early=args.early, teacher=teacher, weight=args.distillation)
+        loss = batch_loss(
+            detector,
+            batch,
+            early=args.early,
+            teacher=teacher,
+            weight=args.distillation,
+            half=args.precision == "bfloat16",
+        )
         loss.backward()
         torch.nn.utils.clip_grad_norm_(detector.parameters(), 10.0)
         optimizer.step()
         smooth = loss.item() if step == first else 0.98 * smooth + 0.02 * loss.item()
         progress.advance(note=f"loss {smooth:.3f}")
         if (step + 1) % args.checkpoint_every == 0 or step + 1 == args.steps:
-            _checkpoint(args.out / "checkpoint.pt", detector, optimizer, step + 1)
+            write_checkpoint(checkpoint, detector, optimizer, step + 1)
             with (args.out / "loss.jsonl").open("a") as curve:
                 curve.write(json.dumps({"step": step + 1, "loss": round(smooth, 4)}) + "\n")
-
-
-def _checkpoint(path: Path, detector: Detector, optimizer: torch.optim.Optimizer, step: int) -> None:
-    partial = path.with_suffix(".part")
-    learned = optimizer.state_dict()
-    learned["state"] = {key: _on_cpu(moments) for key, moments in learned["state"].items()}
-    torch.save({"model": _on_cpu(detector.state_dict()), "optimizer": learned, "step": step}, partial)
-    partial.rename(path)
-
-
-def _on_cpu(state: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
-    return {name: tensor.cpu() for name, tensor in state.items()}
-
-
-def _resume(path: Path, detector: Detector, optimizer: torch.optim.Optimizer) -> int:
-    """The step to go on with."""
-    if not path.exists():
-        return 0
-    state = torch.load(path, weights_only=True)
-    detector.load_state_dict(state["model"])
-    optimizer.load_state_dict(state["optimizer"])
-    log.info("going on from step %d of %s", state["step"], path)
-    return int(state["step"])
 
 
 def load(args: Args, source: SceneSource) -> list[RasterisedScene]:

@@ -13,42 +13,35 @@ import shapely
 from jaxtyping import Float, Int
 
 from cp_env.scenes.formats.recording import wrap
-from cp_env.scenes.preview.statistics import sight
 from cp_env.scenes.sumo import roadside, selection, traffic
 from cp_env.scenes.sumo.network import Streets, build_streets, draw_streets
+from cp_env.scenes.sumo.regimes import Pace, Regime, draw_selection
 from cp_env.scenes.sumo.roadside import footprints
 from cp_env.types import Scene
 
 REACH = 90.0  # m round the ego's path: what is farther off is not kept
-CROWD = {"urban": (120, 200), "suburban": (80, 140), "intersection": (40, 85)}  # vehicles at once in the network
-TRIES = 12
-COMPARED = 7  # selections of one drive that are furnished and compared
-ALONE, FIVE = 0.52, 0.97  # share of vehicles in range seen by the ego alone, by five: what the comparison asks for
+TRIES = 40
+SECONDS = 240.0  # s of traffic of which a scene is drawn
 
 
-def record(name: str, kind: str, seed: int) -> Scene:
-    """One scene, a function of its arguments alone (and of the versions of SUMO and of our LiDAR, which judges it)."""
+def record(name: str, regime: Regime, pace: Pace, seed: int) -> Scene:
+    """One scene, a function of its arguments alone (and of the version of SUMO).
+
+    Streets, crowd, drive, window and ego are drawn. A drive without a fitting window or whose connected vehicles SUMO
+    drove through each other is drawn anew; there is no other choice among drafts.
+    """
     for attempt in range(TRIES):
         rng = np.random.default_rng([seed, zlib.crc32(name.encode()), attempt])
         with tempfile.TemporaryDirectory() as folder:
-            town = build_streets(*draw_streets(kind, rng), Path(folder))
-            tracks = traffic.drive(town, Path(folder), rng, crowd=int(rng.integers(*CROWD[kind])))
-        selections = selection.candidates(tracks, town, rng, COMPARED)
-        scenes = [build_scene(name, kind, town, tracks, selected, rng) for selected in selections]
-        compared = [
-            (_merit(scene, selected), scene)
-            for scene, selected in zip(scenes, selections, strict=True)
-            if scene is not None
-        ]
-        if compared:
-            return max(compared, key=lambda pair: pair[0])[1]
+            town = build_streets(*draw_streets(regime.streets, rng), Path(folder))
+            tracks = traffic.drive(town, Path(folder), rng, crowd=int(rng.integers(*regime.crowd)), seconds=SECONDS)
+        selected = draw_selection(tracks, town, regime, pace, rng)
+        if selected is None:
+            continue
+        scene = build_scene(name, regime.style, town, tracks, selected, rng)
+        if scene is not None:
+            return scene
     raise RuntimeError(f"scene {name!r}: no window with enough vehicles in radio range in {TRIES} networks")
-
-
-def _merit(scene: Scene, selected: selection.VehicleSelection) -> float:
-    """High where the ego alone misses much and five together see nearly all: what the scenes are for."""
-    alone, five, _ = sight(scene, range(10, selection.FRAMES, 27))
-    return float(0.12 * selected.value - abs(alone - ALONE) - 3 * max(0.0, FIVE - five))
 
 
 def build_scene(

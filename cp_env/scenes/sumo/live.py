@@ -30,13 +30,14 @@ from cp_env.scenes.errors import BrokenData
 from cp_env.scenes.sumo import build, config, demand, selection, traffic
 from cp_env.scenes.sumo.network import Streets, build_streets, draw_streets, read_network
 from cp_env.scenes.sumo.places import focus, meetings, quarter
+from cp_env.scenes.sumo.regimes import REGIMES
 from cp_env.scenes.sumo.roadside import STYLES
 from cp_env.scenes.sumo.traffic import Tracks
 from cp_env.scenes.sumo.vehicle_sizes import draw_sizes
 from cp_env.scenes.town import KINDS
 from cp_env.types import Scene, Sweep
 
-VERSION = 3
+VERSION = 4
 """Part of the digest: rises when the same files give other scenes."""
 
 SECONDS = 40.0  # s of traffic at a time, to choose the 20 s of a scene from
@@ -247,7 +248,7 @@ class LiveSumo:
         """Streets and the traffic on them, one stretch of it after another."""
         if self._drawn:
             town = build_streets(*draw_streets(self._drawn, rng), folder)
-            crowd = round(self._density * int(rng.integers(*build.CROWD[self._drawn])))
+            crowd = round(self._density * int(rng.integers(*REGIMES[self._drawn].crowd)))
             yield town, traffic.drive(town, folder, rng, crowd=crowd, warm_up=self._warm_up, seconds=SECONDS)
             return
         assert self._files is not None

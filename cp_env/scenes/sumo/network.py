@@ -17,7 +17,7 @@ from cp_env.scenes.sumo.xml_files import parse
 
 STUB = 100.0  # m: the streets that lead out of a network, where traffic enters and leaves
 LANE_WIDTH = 3.2  # m
-SPEED = 7.5  # m/s: the limit; a 30 km/h zone driven with some care
+SPEED = 8.33  # m/s: the limit; a 30 km/h zone
 
 NO_CARS = frozenset({
     "pedestrian", "wheelchair", "bicycle", "scooter", "moped", "motorcycle", "tram", "rail_urban", "rail",
@@ -86,8 +86,13 @@ class Streets:
 
 
 def draw_streets(kind: str, rng: np.random.Generator) -> tuple[Plan, float]:
-    """A plan of the kind "urban", "suburban" or "intersection", centred on the origin, and its useful radius."""
-    return {"urban": _urban, "suburban": _suburban, "intersection": _intersection}[kind](rng)
+    """A plan, centred on the origin, and its useful radius.
+
+    Args:
+        kind: "urban", "suburban", "intersection" (one crossing with side streets) or "junction" (one crossing alone).
+        rng: draws everything.
+    """
+    return {"urban": _urban, "suburban": _suburban, "intersection": _intersection, "junction": _junction}[kind](rng)
 
 
 @dataclass(frozen=True)
@@ -107,12 +112,12 @@ SIDE = 4  # crossings along each side of a grid
 
 def _urban(rng: np.random.Generator) -> tuple[Plan, float]:
     lanes = rng.choice([1, 1, 2], size=(2, SIDE))
-    return _grid(rng, Grid(spacing=(44, 76), jitter=5, bend=0, drop=0.08, signals=0.9, radius=85), lanes)
+    return _grid(rng, Grid(spacing=(46, 74), jitter=5, bend=0, drop=0.08, signals=0.5, radius=100), lanes)
 
 
 def _suburban(rng: np.random.Generator) -> tuple[Plan, float]:
     lanes = np.ones((2, SIDE), dtype=int)
-    return _grid(rng, Grid(spacing=(46, 82), jitter=10, bend=7, drop=0.22, signals=0.45, radius=85), lanes)
+    return _grid(rng, Grid(spacing=(55, 85), jitter=10, bend=7, drop=0.22, signals=0.3, radius=110), lanes)
 
 
 def _grid(rng: np.random.Generator, grid: Grid, lanes: Int[np.ndarray, "2 n"]) -> tuple[Plan, float]:
@@ -161,7 +166,19 @@ def _intersection(rng: np.random.Generator) -> tuple[Plan, float]:
             x, y = near * out + 75 * np.array([np.cos(side), np.sin(side)])
             plan.node(f"b{k}", x, y, "dead_end")
             plan.street(f"b{k}", f"m{k}", 1)
-    return plan, 60.0
+    return plan, 85.0
+
+
+def _junction(rng: np.random.Generator) -> tuple[Plan, float]:
+    """Four wide arms, and nothing else."""
+    plan = Plan()
+    plan.node("c", 0, 0, "traffic_light")
+    lanes = rng.choice([2, 3], size=2)
+    for k in range(4):
+        angle, far = k * np.pi / 2 + rng.normal(0, 0.14), rng.uniform(190, 210)
+        plan.node(f"a{k}", far * np.cos(angle), far * np.sin(angle), "dead_end")
+        plan.street(f"a{k}", "c", int(lanes[k % 2]), rng.normal(0, 3))
+    return plan, 85.0
 
 
 def build_streets(plan: Plan, radius: float, folder: Path) -> Streets:
@@ -181,7 +198,7 @@ def build_streets(plan: Plan, radius: float, folder: Path) -> Streets:
     ET.ElementTree(edges).write(files["edg"])
     command = [
         _tool("netconvert"), "-n", files["nod"], "-e", files["edg"], "-o", files["net"], "--no-turnarounds",
-        "--tls.green.time", "14", "--tls.yellow.time", "3", "--tls.left-green.time", "5",
+        "--tls.green.time", "20", "--tls.yellow.time", "3", "--tls.left-green.time", "5",
         "--junctions.corner-detail", "5", "--default.junctions.radius", "5",
         "--offset.disable-normalization", "--no-warnings",
     ]  # fmt: skip

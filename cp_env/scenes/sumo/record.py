@@ -1,9 +1,11 @@
-"""Record scenes: draw streets, let SUMO drive, choose an ego and its company, furnish the streets, store what is near.
+"""Record scenes: draw streets, let SUMO drive, draw an ego and its company, furnish the streets, store what is near.
 
     python -m cp_env.scenes.sumo.record --out recordings --seed 0
+    python -m cp_env.scenes.sumo.record --regime junction --out recordings/junction --seed 0
     python -m cp_env.scenes.sumo.record --out recordings --describe      # figures of what is there
 
-Needs the extra `sumo`. Scenes are independent of each other; those already in the folder are kept.
+Needs the extra `sumo`. Scenes are independent of each other; those already in the folder are kept. `regimes` says how
+one is drawn.
 """
 
 from __future__ import annotations
@@ -13,42 +15,49 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Literal
 
 from cp_env.scenes.formats import recording
-from cp_env.scenes.town import DATA, INDEX, KINDS, SPLITS, Town
+from cp_env.scenes.sumo.regimes import REGIMES, Pace, pace_of
+from cp_env.scenes.town import FAMILIES, INDEX, SPLITS
 
 
 @dataclass
 class Args:
     """Record scenes of traffic, or describe recorded ones."""
 
-    out: Path = DATA
-    """folder to write to; scenes already there are kept, so a killed run goes on"""
+    regime: Literal["town", "junction"] = "town"
+    """which scenes"""
+    out: Path | None = None
+    """folder to write to; scenes already there are kept, so a killed run goes on; by default the package's own"""
     seed: int = 0
     """all randomness comes from it"""
-    train: int = 16
-    """training scenes of each kind"""
-    calibration: int = 4
-    """calibration scenes of each kind"""
-    test: int = 7
-    """test scenes of each kind"""
+    train: int | None = None
+    """training scenes of each kind; by default as many as ship, 16 of the town, 40 of the junction"""
+    calibration: int | None = None
+    """calibration scenes of each kind; by default 4 or 10"""
+    test: int | None = None
+    """test scenes of each kind; by default 7 or 20"""
     jobs: int = 1
     """processes to share the work; the scenes do not depend on it"""
     describe: bool = False
     """print figures of the scenes in `out` instead of recording"""
 
 
-def plan(train: int, calibration: int, test: int) -> dict[str, list[str]]:
-    """Names of the scenes of each split."""
-    counts = dict(zip(SPLITS, (train, calibration, test), strict=True))
-    return {split: [f"{split}-{kind}-{k:02d}" for k in range(n) for kind in KINDS] for split, n in counts.items()}
+COUNTS = {"town": (16, 4, 7), "junction": (40, 10, 20)}  # scenes of each kind, by split
+
+
+def plan(regime: str, counts: tuple[int, int, int]) -> dict[str, list[str]]:
+    """Names of the scenes of each split; `counts` of each kind, by split."""
+    kinds = FAMILIES[regime].kinds
+    return {s: [f"{s}-{kind}-{k:02d}" for k in range(n) for kind in kinds] for s, n in zip(SPLITS, counts, strict=True)}
 
 
 def _path(out: Path, name: str) -> Path:
     return out / f"{name}.npz"
 
 
-def _record(out: Path, name: str, seed: int) -> None:
+def _record(out: Path, name: str, pace: Pace, seed: int) -> None:
     """One scene into its file, in a process of its own (libsumo holds one simulation a process)."""
     import torch
 
@@ -56,7 +65,7 @@ def _record(out: Path, name: str, seed: int) -> None:
 
     torch.set_num_threads(1)
     part = _path(out, name).with_suffix(".part")
-    recording.write(part, record(name, name.split("-")[1], seed))
+    recording.write(part, record(name, REGIMES[name.split("-")[1]], pace, seed))
     part.replace(_path(out, name))
 
 
@@ -64,20 +73,28 @@ def main(args: Args) -> None:
     """Record what is missing in `args.out`, or describe what is there."""
     from tqdm import tqdm
 
+    from cp_env.evaluation.execution.processes import end_with_parent
     from cp_env.scenes.preview.statistics import table
 
+    family = FAMILIES[args.regime]
+    out = family.folder if args.out is None else args.out
     if args.describe:
         for split in SPLITS:
-            tqdm.write(table(Town(split, args.out)) + "\n")
+            tqdm.write(table(family(split, out)) + "\n")
         return
-    args.out.mkdir(parents=True, exist_ok=True)
-    names = plan(args.train, args.calibration, args.test)
-    missing = [name for split in SPLITS for name in names[split] if not _path(args.out, name).exists()]
-    with ProcessPoolExecutor(args.jobs, mp_context=get_context("spawn")) as pool:
-        jobs = [pool.submit(_record, args.out, name, args.seed) for name in missing]
+    out.mkdir(parents=True, exist_ok=True)
+    train, calibration, test = (
+        default if asked is None else asked
+        for asked, default in zip((args.train, args.calibration, args.test), COUNTS[args.regime], strict=True)
+    )
+    names = plan(args.regime, (train, calibration, test))
+    wanted = [(name, pace_of(k)) for split in SPLITS for k, name in enumerate(names[split])]
+    missing = [(name, pace) for name, pace in wanted if not _path(out, name).exists()]
+    with ProcessPoolExecutor(args.jobs, mp_context=get_context("spawn"), initializer=end_with_parent) as pool:
+        jobs = [pool.submit(_record, out, name, pace, args.seed) for name, pace in missing]
         for job in tqdm(as_completed(jobs), total=len(jobs), desc="scenes", unit="scene"):
             job.result()
-    (args.out / INDEX).write_text(json.dumps(names, indent=1) + "\n")
+    (out / INDEX).write_text(json.dumps(names, indent=1) + "\n")
 
 
 if __name__ == "__main__":

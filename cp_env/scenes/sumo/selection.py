@@ -23,7 +23,7 @@ _DRIVES = 2.0  # of value it gains, where that counts, if the first five drive a
 _PACE = 0.5  # m/s: who is slower waits
 
 
-Standing = Literal["never", "last", "equally"]
+Standing = Literal["never", "last"]
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ def candidates(
     most: int,
     *,
     least: int = LEAST,
-    standing: Standing = "equally",
+    standing: Standing = "never",
 ) -> list[VehicleSelection]:
     """Up to `most` selections, the most promising first, from different windows; none without enough vehicles in range.
 
@@ -57,9 +57,8 @@ def candidates(
         rng: draws how far the ego should drive, and a little of each selection's value.
         most: selections wanted.
         least: connected vehicles wanted.
-        standing: whether vehicles that drive less than `STANDS` m in the window are chosen: "never", "last" (only up to
-            `least`, where too few move), or "equally". With the first two, windows are preferred in which the first
-            five wait less.
+        standing: whether vehicles that drive less than `STANDS` m in the window are chosen: "never", or "last" (only up
+            to `least`, where too few move). Windows are preferred in which the first five wait less.
 
     Returns:
         The selections; at most two of each window.
@@ -72,28 +71,25 @@ def candidates(
         still = stands(window[:, here])
         if standing == "never":
             here, still = here[~still], still[~still]
-        elif standing == "equally":
-            still = np.zeros_like(still)
         place = window[:, here]
         gap = np.linalg.norm(place[:, :, None] - place[:, None], axis=-1)
         selections = []
         for ego in np.flatnonzero(_central(place, streets)).tolist():
-            partners = _partners(gap, ego, least, still)
-            if len(partners) >= least - 1:
-                value = _value(place, gap, ego, partners, travel) + rng.normal(0, 0.3)
-                if standing != "equally":
-                    first = [ego, *partners[: LEAST - 1]]
-                    value += _DRIVES * _driving(place[:, first]) - _STILL * int(still[first].sum())
-                taken = min(max(MOST, least), max(least, 1 + int((~still[partners]).sum()))) - 1
-                selections.append(VehicleSelection(value, start, here[[ego, *partners[:taken]]]))
+            others = partners(gap, ego, least, still)
+            if len(others) >= least - 1:
+                value = _value(place, gap, ego, others, travel) + rng.normal(0, 0.3)
+                first = [ego, *others[: LEAST - 1]]
+                value += _DRIVES * _driving(place[:, first]) - _STILL * int(still[first].sum())
+                taken = min(max(MOST, least), max(least, 1 + int((~still[others]).sum()))) - 1
+                selections.append(VehicleSelection(value, start, here[[ego, *others[:taken]]]))
         found += sorted(selections, key=lambda selected: -selected.value)[:2]
     return sorted(found, key=lambda selected: -selected.value)[:most]
 
 
-def stands(place: Float[np.ndarray, "t v 2"]) -> Bool[np.ndarray, " v"]:
-    """Which vehicles drive less than `STANDS` m on the way through these places."""
+def stands(place: Float[np.ndarray, "t v 2"], least: float = STANDS) -> Bool[np.ndarray, " v"]:
+    """Which vehicles drive less than `least` m on the way through these places."""
     driven: Float[np.ndarray, " v"] = np.linalg.norm(np.diff(place, axis=0), axis=-1).sum(axis=0)
-    return driven < STANDS
+    return driven < least
 
 
 def _driving(place: Float[np.ndarray, "t v 2"]) -> float:
@@ -105,22 +101,39 @@ def _central(place: Float[np.ndarray, "t v 2"], streets: Streets) -> Bool[np.nda
     return (np.linalg.norm(place - streets.centre, axis=-1) < streets.radius).all(axis=0)
 
 
-def _partners(gap: Float[np.ndarray, "t v v"], ego: int, least: int, still: Bool[np.ndarray, " v"]) -> list[int]:
-    """Four that spread out, nearest first, then the rest that stay in range, nearest first; `still` ones come last."""
-    near = np.flatnonzero(gap[:, ego].max(axis=0) < RADIO - 1)
+def partners(
+    gap: Float[np.ndarray, "t v v"],
+    ego: int,
+    least: int,
+    still: Bool[np.ndarray, " v"],
+    *,
+    radio: float = RADIO,
+    spread: float = SPREAD,
+) -> list[int]:
+    """Four that spread out, nearest first, then the rest that stay in range, nearest first; `still` ones come last.
+
+    Args:
+        gap: m between any two vehicles.
+        ego: whose partners they are; a column.
+        least: connected vehicles wanted; the list is empty where there are fewer.
+        still: which vehicles stand.
+        radio: m; the range.
+        spread: m; the first four and the ego keep about this far from each other, where they can.
+    """
+    near = np.flatnonzero(gap[:, ego].max(axis=0) < radio - 1)
     if len(near) < least:  # the ego is among them
         return []
     pair = gap[:, near[:, None], near].mean(axis=0)
     order = np.argsort(pair[near == ego][0])  # the ego itself comes first
     chosen = [order[0]]
     for last in (False, True):
-        for spread in (SPREAD, SPREAD / 2, 0.0):
+        for apart in (spread, spread / 2, 0.0):
             for k in order[1:]:
                 if (
                     still[near[k]] == last
                     and len(chosen) < LEAST
                     and k not in chosen
-                    and pair[k, chosen].min() >= spread
+                    and pair[k, chosen].min() >= apart
                 ):
                     chosen.append(k)
     rank = {k: (still[near[k]], r) for r, k in enumerate(order)}

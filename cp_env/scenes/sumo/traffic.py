@@ -168,7 +168,7 @@ def write_types(root: ET.Element, sizes: Float[np.ndarray, "K 3"], rng: np.rando
         ET.SubElement(
             root, "vType", id=str(k), length=f"{length:.2f}", width=f"{width:.2f}", height=f"{height:.2f}", sigma="0.3",
             minGap=f"{rng.uniform(1.5, 2.5):.2f}", accel="1.3" if heavy else "2.2", decel="3.5", tau="1.1",
-            speedFactor=f"{rng.uniform(0.75, 1.0):.2f}", lcStrategic="2",
+            speedFactor=f"{rng.uniform(0.85, 1.0):.2f}", lcStrategic="2",
         )  # fmt: skip
 
 

@@ -14,7 +14,7 @@ from cp_env.detector.model.fusion import FUSIONS
 from cp_env.detector.model.weights import read_detector, save_detector
 from cp_env.detector.training import data
 from cp_env.detector.training.data import RasterisedScene, draw
-from cp_env.detector.training.train import Args, load, main, train
+from cp_env.detector.training.train import Args, batch_loss, load, main, train
 from tests.helpers.toy_scenes import ToySource
 
 TINY = Args(frames=1, egos=1, views=2, agents=2, threads=1, checkpoint_every=2, learning_rate=2e-3)
@@ -111,3 +111,30 @@ def test_what_does_not_go_together_is_refused(known: Path, scenes: list[Rasteris
         Args(early=True, fusion="max")
     with pytest.raises(ValueError, match="fuses by mean, not sum"):
         train(replace(TINY, init=known, fusion="sum", out=tmp_path), scenes)
+
+
+@pytest.mark.parametrize("early", [False, True])
+def test_half_precision_is_near_and_leaves_weights_in_single(
+    early: bool, known: Path, scenes: list[RasterisedScene]
+) -> None:
+    """bfloat16 has eight bits: losses differ by some thousandths, gradients point the same way."""
+    batch = draw(scenes, np.random.default_rng(0), frames=1, egos=2, views=3, agents=4)
+    losses, gradients = [], []
+    for half in (False, True):
+        detector = read_detector(known).train()
+        loss = batch_loss(detector, batch, early=early, half=half)
+        loss.backward()
+        assert loss.dtype == torch.float32
+        assert all(p.dtype == torch.float32 and p.grad is not None for p in detector.parameters())
+        losses.append(loss.item())
+        gradients.append(torch.cat([p.grad.flatten() for p in detector.parameters() if p.grad is not None]))
+    assert losses[0] != losses[1] and losses[1] == pytest.approx(losses[0], rel=0.02)
+    assert torch.cosine_similarity(*gradients, dim=0) > 0.98
+
+
+def test_precision_reaches_the_loss(scenes: list[RasterisedScene], tmp_path: Path) -> None:
+    single, half = (
+        train(replace(TINY, out=tmp_path / precision, precision=precision, steps=1), scenes)
+        for precision in ("float32", "bfloat16")
+    )
+    assert single.digest != half.digest

@@ -8,24 +8,32 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cp_env.scenes import KINDS, SPLITS, Town
+from cp_env.scenes import FAMILIES, KINDS, SPLITS, Town
 from cp_env.scenes.formats import recording
 from cp_env.scenes.sumo import build, network, traffic
-from cp_env.scenes.sumo.record import Args, main, plan
+from cp_env.scenes.sumo.record import COUNTS, Args, main, plan
+from cp_env.scenes.sumo.regimes import REGIMES
 from tests.helpers.toy_traffic import town_without_streets
 
 
-def test_plan_names_every_scene_once() -> None:
-    names = plan(2, 1, 1)
-    assert list(names) == list(SPLITS) and len(names["train"]) == 2 * len(KINDS)
-    assert len({name for split in names.values() for name in split}) == 4 * len(KINDS)
+@pytest.mark.parametrize(("regime", "kinds"), [("town", KINDS), ("junction", ("junction",))])
+def test_plan_names_every_scene_once(regime: str, kinds: tuple[str, ...]) -> None:
+    names = plan(regime, (2, 1, 1))
+    assert list(names) == list(SPLITS) and len(names["train"]) == 2 * len(kinds)
+    assert len({name for split in names.values() for name in split}) == 4 * len(kinds)
+    assert {name.split("-")[1] for name in names["train"]} == set(kinds) <= set(REGIMES)
+
+
+def test_what_ships_is_what_the_program_plans() -> None:
+    for regime, family in FAMILIES.items():
+        assert plan(regime, COUNTS[regime]) == {split: list(family(split).names()) for split in SPLITS}
 
 
 @pytest.mark.usefixtures("simulator")
 def test_the_same_seed_records_the_same_file_and_another_seed_another(tmp_path: Path) -> None:
     name = "test-intersection-00"
     for k in range(2):
-        recording.write(tmp_path / f"{k}.npz", build.record(name, "intersection", seed=5))
+        recording.write(tmp_path / f"{k}.npz", build.record(name, REGIMES["intersection"], "flows", seed=5))
     assert (tmp_path / "0.npz").read_bytes() == (tmp_path / "1.npz").read_bytes()
     other = Town("test").load(name)  # of another seed
     assert recording.read(tmp_path / "0.npz", name).obstacles.tolist() != other.obstacles.tolist()
@@ -35,7 +43,7 @@ def test_the_same_seed_records_the_same_file_and_another_seed_another(tmp_path: 
 def test_a_killed_run_goes_on(tmp_path: Path) -> None:
     town = Town("test")
     scene = town.load(town.names()[0])
-    names = plan(1, 0, 0)["train"]
+    names = plan("town", (1, 0, 0))["train"]
     for name in names:
         recording.write(tmp_path / f"{name}.npz", scene)
     before = {path.name: path.stat().st_mtime_ns for path in tmp_path.iterdir()}

@@ -27,7 +27,7 @@ def test_every_fusion_ships_and_is_listed_alike() -> None:
 def test_one_encoder_serves_them_all(name: str) -> None:
     path = FOLDER / f"{name}.safetensors"
     assert read_detector(path).maps_digest == read_detector(FOLDER / "mean.safetensors").maps_digest
-    assert about(path)["calibrated"] == "town/calibration"
+    assert about(path)["calibrated"] == "town/calibration+junction/calibration"
     detector = load_detector(name)
     assert detector.fusion == name and detector.threshold in GRID
     assert not detector.training and not any(p.requires_grad for p in detector.parameters())
