@@ -51,6 +51,9 @@ from cp_env.scenes import open_source
 from cp_env.types import SceneSource
 
 
+CHECKPOINT = "checkpoint.safetensors"
+
+
 @dataclass(frozen=True)
 class Args:
     """What a training run depends on."""
@@ -165,8 +168,7 @@ def train(args: Args, scenes: list[RasterisedScene]) -> Detector:
         teacher.eval().requires_grad_(False)
     optimizer = torch.optim.AdamW([p for p in detector.parameters() if p.requires_grad], weight_decay=args.weight_decay)
     args.out.mkdir(parents=True, exist_ok=True)
-    checkpoint = args.out / "checkpoint.safetensors"
-    first = resume(checkpoint, detector, optimizer)
+    first = resume(args.out / CHECKPOINT, detector, optimizer)
     detector.train()
     detector.encoder.train(args.encoder is None)
     say(f"plan: {args.steps - first} steps of {args.frames} frames on {len(scenes)} scenes, {args.threads} threads")
@@ -212,7 +214,7 @@ def _steps(
         smooth = loss.item() if step == first else 0.98 * smooth + 0.02 * loss.item()
         progress.advance(note=f"loss {smooth:.3f}")
         if (step + 1) % args.checkpoint_every == 0 or step + 1 == args.steps:
-            write_checkpoint(checkpoint, detector, optimizer, step + 1)
+            write_checkpoint(args.out / CHECKPOINT, detector, optimizer, step + 1)
             with (args.out / "loss.jsonl").open("a") as curve:
                 curve.write(json.dumps({"step": step + 1, "loss": round(smooth, 4)}) + "\n")
 
