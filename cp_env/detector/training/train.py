@@ -50,7 +50,6 @@ from cp_env.progress import Progress, say
 from cp_env.scenes import open_source
 from cp_env.types import SceneSource
 
-
 CHECKPOINT = "checkpoint.safetensors"
 
 
