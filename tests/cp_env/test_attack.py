@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import re
+from dataclasses import dataclass, fields
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,6 +13,7 @@ import torch
 
 import agents
 from cp_env.attack import Attack, streams
+from cp_env.world.situation import Situation
 from tests.helpers import situations
 
 
@@ -80,3 +83,13 @@ def test_generators_must_be_one_a_world() -> None:
     for wrong in (0, [0, 1], None):
         with pytest.raises(ValueError, match="rng must be numpy generators"):
             streams(2, wrong)
+
+
+def test_the_page_names_all_that_a_situation_holds() -> None:
+    page = (Path(agents.__file__).parents[1] / "docs/write-your-own-attack.md").read_text()
+    (table,) = re.findall(r"\n\| field \|.*?\n\n", page, re.DOTALL)
+    cells = "".join(line.split("|")[1] for line in table.strip().splitlines())
+    told = set(re.findall(r"`(\w+)", cells))
+    held = {field.name for field in fields(Situation)}
+    held |= {name for name in vars(Situation) if not name.startswith("_")}
+    assert told == held - {"handed_out", "receive", "perceive_clean"}  # the last two are behind `received` and `clean`
