@@ -19,8 +19,7 @@ from agents.sb3 import make_vec_env
 from benchmarks.in_turn import InTurn, in_turn
 from cp_env.detector.registry import open_detector
 from cp_env.scenes import open_source
-from cp_env.settings import ACTIONS
-from cp_env.types import PRECISIONS
+from cp_env.settings import ACTIONS, PRECISIONS
 from cp_env.world.allocator import keep_freed_memory
 from cp_env.world.scene_cache import SceneBank
 from cp_env.world.world import World

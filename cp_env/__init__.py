@@ -109,6 +109,7 @@ def parallel_env(
             * `checkpoint` (None): the file that coperception saved, for `detector="coperception"`; `fusion` says which
               model it is of.
             * `device` ("cpu"): where the detector runs, as torch spells it.
+            * `precision` ("float32"): of its maps, fusion and decoder; "bfloat16" is faster, see docs/speed.md.
             * `render_mode` (None): "rgb_array" (`render()` returns a picture) or "human" (a window follows the
               episode).
 

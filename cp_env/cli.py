@@ -6,8 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cp_env.settings import Action, Fusion, ObservationKind
-from cp_env.types import Precision
+from cp_env.settings import Action, Fusion, ObservationKind, Precision
 
 if TYPE_CHECKING:
     from rich.table import Table

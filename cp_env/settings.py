@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, Literal, TypedDict, get_args, get_type_hi
 
 import numpy as np
 
-from cp_env.types import Precision
 from defenders.registry import checked_value, shown, unknown
 
 if TYPE_CHECKING:
@@ -23,6 +22,7 @@ ObservationKind = Literal["features", "compact"]
 Knowledge = Literal["black-box", "gray-box", "white-box"]
 RewardName = Literal["damage", "ap_drop", "stealth", "critical", "targeted"]
 Slots = Literal["adversaries", "vehicles"]
+Precision = Literal["float32", "bfloat16"]
 StateKind = Literal["maps", "compact"]
 
 FUSIONS: tuple[str, ...] = get_args(Fusion)
@@ -31,6 +31,7 @@ ACTIONS: tuple[str, ...] = get_args(Action)
 OBSERVATIONS: tuple[str, ...] = get_args(ObservationKind)
 KNOWLEDGE: tuple[str, ...] = get_args(Knowledge)
 REWARDS: tuple[str, ...] = get_args(RewardName)
+PRECISIONS: tuple[str, ...] = get_args(Precision)
 
 LARGEST_FLEET = 1024
 """Vehicles of a scene, at most: far more than any data set has. Our choice."""

@@ -11,8 +11,7 @@ import defenders
 from cp_env.detector.protocol import DetectorLike, fusion_of
 from cp_env.evaluation import Conditions
 from cp_env.scenes import open_source
-from cp_env.settings import Fusion
-from cp_env.types import Precision
+from cp_env.settings import Fusion, Precision
 from cp_env.world.streams import PUBLIC_KEY
 
 

@@ -24,8 +24,7 @@ from agents.attacks.targets import (
 )
 from agents.protocol import Streams, streams
 from cp_env.perturbation.ball import make_ball
-from cp_env.settings import choose
-from cp_env.types import PRECISIONS, Precision
+from cp_env.settings import PRECISIONS, Precision, choose
 from cp_env.world.counterfactual import in_precision
 from cp_env.world.situation import Situation
 

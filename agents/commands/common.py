@@ -16,8 +16,7 @@ from cp_env.detector.protocol import DetectorLike
 from cp_env.detector.registry import open_detector, precise
 from cp_env.evaluation import FailedRuns
 from cp_env.paths import use_current_folder
-from cp_env.settings import Fusion
-from cp_env.types import Precision
+from cp_env.settings import Fusion, Precision
 from cp_env.world.allocator import keep_freed_memory
 
 A = TypeVar("A")

@@ -27,8 +27,7 @@ from agents.learning.rollout import Episodes, open_bank, play
 from agents.sb3 import AdversaryVecEnv, make_vec_env
 from cp_env.detector.registry import precise
 from cp_env.evaluation import Conditions
-from cp_env.settings import Action, Fusion, Knowledge, Settings
-from cp_env.types import Precision
+from cp_env.settings import Action, Fusion, Knowledge, Precision, Settings
 
 
 @dataclass(frozen=True, kw_only=True)

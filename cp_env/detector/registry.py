@@ -7,13 +7,12 @@ from pathlib import Path
 import torch
 from torch import nn
 
-from cp_env.detector.model.base import BaseDetector
+from cp_env.detector.model.base import PRECISIONS, BaseDetector
 from cp_env.detector.protocol import DetectorLike
-from cp_env.types import PRECISIONS, Precision
 from defenders.registry import Registry, Spec, shown, unknown
 
 
-def _own(*, fusion: str = "mean", weights: Path | None = None, precision: Precision = "float32") -> DetectorLike:
+def _own(*, fusion: str = "mean", weights: Path | None = None, precision: str = "float32") -> DetectorLike:
     from cp_env.detector.model.weights import load_detector, read_detector
 
     made = load_detector(fusion) if weights is None else read_detector(weights).freeze()
@@ -91,7 +90,7 @@ def _precise(precision: str, detector: DetectorLike) -> DetectorLike:
     return precise
 
 
-def precise(detector: str, precision: Precision) -> str:
+def precise(detector: str, precision: str) -> str:
     """The name of a detector with that precision as its option; the name itself for the default."""
     if precision == "float32":
         return detector

@@ -40,8 +40,7 @@ from agents.attacks.cached import CachedAttack
 from cp_env import evaluation
 from cp_env.metrics.intervals import Interval
 from cp_env.scenes import open_source
-from cp_env.settings import Fusion
-from cp_env.types import Precision
+from cp_env.settings import Fusion, Precision
 from examples.reproduce.paper_tables import TABLES, Line, PaperTable
 
 N_ATTACKERS = 2

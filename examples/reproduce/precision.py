@@ -30,7 +30,7 @@ from cp_env.evaluation.analysis.comparisons import paired_difference
 from cp_env.metrics.intervals import Interval, t_interval
 from cp_env.metrics.shares import share_interval
 from cp_env.scenes import open_source
-from cp_env.types import PRECISIONS
+from cp_env.settings import PRECISIONS
 
 LINES = (
     ("none", "none"),

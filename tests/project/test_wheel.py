@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 import subprocess
@@ -117,7 +118,12 @@ def run(installed: Path, elsewhere: Path, code: str) -> str:
     """What a program prints there."""
     head = f"{ALONE}\nSITE, PAGES = {str(installed)!r}, {PAGES!r}\n"
     done = subprocess.run(
-        [installed / "bin/python", "-c", head + code], cwd=elsewhere, capture_output=True, text=True, timeout=600
+        [installed / "bin/python", "-c", head + code],
+        cwd=elsewhere,
+        env={name: value for name, value in os.environ.items() if name != "PYTHONPATH"},
+        capture_output=True,
+        text=True,
+        timeout=600,
     )
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout

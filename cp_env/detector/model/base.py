@@ -16,6 +16,8 @@ from cp_env.geometry.boxes import nms_batch
 from cp_env.types import Detections
 
 MOST_BOXES = 80
+PRECISIONS = ("float32", "bfloat16")
+"""What maps, fusion and decoder may be computed in; a detector knows the first, and others if it says so."""
 OWN_RADIUS = 1.5  # m; nothing else's centre can be this close to the ego's
 NMS_IOU = 0.15  # two vehicles cannot overlap, two boxes estimated of neighbours may a little
 

@@ -9,13 +9,13 @@ import torch
 from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
 
-from cp_env.detector.model.base import BaseDetector
+from cp_env.detector.model.base import PRECISIONS, BaseDetector
 from cp_env.detector.model.bev import BEV, rasterise
 from cp_env.detector.model.decoder import Decoder, Dense
 from cp_env.detector.model.encoder import Conv, Encoder
 from cp_env.detector.model.fingerprint import fingerprint, refuse_empty
 from cp_env.detector.model.fusion import FUSIONS
-from cp_env.types import PRECISIONS, Sweep
+from cp_env.types import Sweep
 from defenders.registry import unknown
 
 TOGETHER = {"cpu": 16}

@@ -30,6 +30,7 @@ import hashlib
 import json
 import logging
 import math
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Literal
@@ -109,7 +110,7 @@ def batch_loss(
     Returns:
         The loss, a mean over the visible vehicles of the batch.
     """
-    with torch.autocast(batch.occupancy.device.type, dtype=torch.bfloat16, enabled=half):
+    with torch.autocast(batch.occupancy.device.type, dtype=torch.bfloat16) if half else nullcontext():
         if early:
             fused = detector.encode_grids(early_fusion(batch, detector.extent))
         else:

@@ -12,8 +12,8 @@ from typing import Any
 from cp_env.evaluation.plan.sources import calibration_digest, code_of
 from cp_env.metrics.average_precision import rules
 from cp_env.scenes import open_source
-from cp_env.settings import Fusion, Norm, Settings
-from cp_env.types import Precision, SceneSource
+from cp_env.settings import Fusion, Norm, Precision, Settings
+from cp_env.types import SceneSource
 from cp_env.world.streams import PUBLIC_KEY, name_of_key
 from defenders.registry import Spec
 

@@ -7,7 +7,9 @@ from collections.abc import Sequence
 import pytest
 import torch
 
+from cp_env import settings
 from cp_env.detector import Dense, Detector, load_detector
+from cp_env.detector.model import base
 from cp_env.detector.model.base import BaseDetector
 from cp_env.detector.registry import open_detector, precise
 from cp_env.perturbation.objective import attacked_output
@@ -112,3 +114,7 @@ def test_a_search_in_less_precision_leaves_the_situation_alone() -> None:
     rounded = in_precision(exact, "bfloat16")
     assert exact.received.dtype == torch.float32 and rounded.received.dtype == torch.bfloat16
     assert in_precision(exact, "bfloat16").detector is rounded.detector and rounded.detector is not exact.detector
+
+
+def test_options_and_detectors_name_the_same_precisions() -> None:
+    assert settings.PRECISIONS == base.PRECISIONS
