@@ -27,11 +27,20 @@ def arguments(name: str, out: Path, *, seeds: int, workers: int, sealed: bool = 
     return ["-m", "tests.campaign.programs", name, *COMMON, *ATTACKS, *QUIET[name], *rest]
 
 
+TIMES = ("frames_per_second", "milliseconds", "late_frames")
+"""Fields of results that depend on how fast the machine was."""
+
+
 def table(name: str, out: Path) -> Any:
-    """All results that the program wrote, but the speed and the command."""
+    """All results that the program wrote, but times and the command."""
     found: dict[str, Any] = json.loads((out / {"arena": "arena.json", "benchmark": "results.json"}[name]).read_text())
-    rows = [{**row, "frames_per_second": None} for row in found["rows"]]
-    return {**found, "rows": rows, "about": None}
+    return _untimed({**found, "about": None})
+
+
+def _untimed(thing: Any) -> Any:
+    if isinstance(thing, dict):
+        return {key: _untimed(value) for key, value in thing.items() if key not in TIMES}
+    return [_untimed(one) for one in thing] if isinstance(thing, list) else thing
 
 
 def main(words: Sequence[str]) -> None:
