@@ -27,7 +27,7 @@ def arguments(name: str, out: Path, *, seeds: int, workers: int, sealed: bool = 
     return ["-m", "tests.campaign.programs", name, *COMMON, *ATTACKS, *QUIET[name], *rest]
 
 
-TIMES = ("frames_per_second", "milliseconds", "late_frames")
+TIMES = ("frames_per_second", "milliseconds", "late")
 """Fields of results that depend on how fast the machine was."""
 
 

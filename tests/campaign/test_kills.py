@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import sys
@@ -75,6 +76,17 @@ def test_chains_are_seeded_and_cover_every_setting() -> None:
     settings = {kills.Setting.of(number) for number in range(20)}
     assert {(s.program, s.cold) for s in settings} == {(p, c) for p in ("arena", "benchmark") for c in (True, False)}
     assert {s.program for s in settings if s.sealed} == {"arena", "benchmark"}
+
+
+def test_tables_of_a_slow_and_a_fast_machine_are_equal(tmp_path: Path) -> None:
+    def table(slow: bool, damage: float) -> object:
+        driving = {"milliseconds": 9.0 + slow, "late": {"mean": float(slow)}, "mdr": 0.5}
+        row = {"frames_per_second": 7.0 - slow, "damage": damage, "driving": driving}
+        found = {"rows": [row], "strata": {"ego_attacker": [row]}, "about": f"slow: {slow}"}
+        (tmp_path / "results.json").write_text(json.dumps(found))
+        return programs.table("benchmark", tmp_path)
+
+    assert table(slow=True, damage=0.2) == table(slow=False, damage=0.2) != table(slow=False, damage=0.3)
 
 
 PARENT = """

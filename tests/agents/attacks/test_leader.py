@@ -12,6 +12,7 @@ import torch
 import agents
 from agents.attacks.leader import EgoHeadings, LeaderAttack, _Lane
 from cp_env.detector.model.decoder import Dense
+from cp_env.metrics.severity import near
 from cp_env.world.scene_cache import SceneBank
 from cp_env.world.situation import Situation
 from cp_env.world.world import World
@@ -117,9 +118,7 @@ def test_it_hides_its_target_and_keeps_the_rest(street: SceneBank) -> None:
 
 
 def test_it_shows_a_car_ahead(street: SceneBank) -> None:
-    shown = [
-        len(o.output[e].seen.boxes) - len(o.clean[e].seen.boxes)
-        for o in played(street, "phantom_ahead")
-        for e in (0, 1)
-    ]
-    assert np.mean(shown) >= 0.5  # a car now and then is missed where one is shown
+    """A box where the unattacked view has none: the difference of counts would hide it behind a car that is missed."""
+    views = [(o.output[e].seen.boxes, o.clean[e].seen.boxes) for o in played(street, "phantom_ahead") for e in (0, 1)]
+    shown = [(~near(output, clean).any(axis=1)).sum() for output, clean in views]
+    assert np.mean(shown) >= 0.9
