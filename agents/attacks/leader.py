@@ -5,14 +5,11 @@ driving depends on (see `cp_env.metrics`). Removal of one object and spoofing of
 attacks on collaborative perception (Zhang et al., "On Data Fabrication in Collaborative Vehicular Perception", USENIX
 Security 2024); to aim at the ego's lane is our choice.
 
-The attackers know where the ego stands, as it tells all who send to it. Its heading they take from its motion. Before
-it has moved they know the axis of its body alone, from its box in the clean view, where the others see it. Both ends of
-the ego are then attacked.
+The attackers know where the ego stands and which way it faces, as it tells all who send to it. Where it will turn they
+do not know: its lane is straight.
 """
 
 from __future__ import annotations
-
-from dataclasses import dataclass, field
 
 import numpy as np
 import torch
@@ -22,7 +19,7 @@ from torch import Tensor
 from agents.attacks.gradient import GradientAttack
 from agents.attacks.objectives.targeted import Plant, Remove
 from agents.attacks.pgd import ProjectedGradient
-from agents.protocol import Attack, Streams
+from agents.protocol import Attack
 from cp_env.geometry.planar import grid_origin
 from cp_env.metrics.corridor import Corridor
 from cp_env.world.situation import Situation
@@ -39,104 +36,51 @@ WIDTH = 1.9
 FARTHEST = 25.0
 """Largest gap to a phantom, m: with two half cars and the rounding of grid frames it ends within the map."""
 
-MOVED = 0.3
-"""A smaller motion than this between two frames tells no heading; m."""
-
 OWN = 1.5
 """The ego's own box has its centre so near to where it stands; m."""
 
 
-@dataclass(eq=False)
-class EgoHeadings:
-    """Which way each world's ego faces, as its motion shows; NaN until it has moved."""
+def nearest_in_lane(situation: Situation) -> Float[Tensor, "E 1 5"]:
+    """The box of the nearest vehicle in each ego's straight lane, or of the nearest at all where the lane is empty.
 
-    angle: Float[np.ndarray, " E"] = field(default_factory=lambda: np.zeros(0))  # rad
-    _place: Float[np.ndarray, "E 2"] = field(default_factory=lambda: np.zeros((0, 2)))  # of the frame before; m
-
-    def update(self, situation: Situation) -> None:
-        """Follow the egos to this frame. A world in its first frame begins anew."""
-        place = np.array(situation.place, dtype=np.float64)
-        if len(self.angle) != len(place):
-            self.angle, self._place = np.full(len(place), np.nan), place
-        new = situation.frame == 0
-        self.angle[new], self._place[new] = np.nan, place[new]
-        step = place - self._place
-        moved = np.linalg.norm(step, axis=1) > MOVED
-        self.angle[moved] = np.arctan2(step[moved, 1], step[moved, 0])
-        self._place = np.where((moved | new)[:, None], place, self._place)
+    What the ego acts on without an attack says who is there; NaN if nobody is seen.
+    """
+    made = np.full((len(situation.place), 1, 5), np.nan, dtype=np.float32)
+    for e, (place, heading, boxes) in enumerate(zip(*_egos(situation), _seen(situation), strict=True)):
+        if not len(boxes):
+            continue
+        lane = np.stack([place, place + REACH * _unit(heading)])
+        gaps, _ = Corridor(lane, FRONT).gaps(boxes)
+        away = np.linalg.norm(boxes[:, :2] - place, axis=1)
+        made[e] = boxes[gaps.argmin() if np.isfinite(gaps).any() else away.argmin()]
+    return torch.from_numpy(made).to(situation.coverage)
 
 
-@dataclass(eq=False)
-class _Lane:
-    """The ego's straight lane, from where it stands in its grid frame, in the clean view of each world."""
-
-    headings: EgoHeadings
-
-    def nearest(self, situation: Situation) -> Float[Tensor, "E 2 5"]:
-        """The box of the nearest vehicle in the lane, or of the nearest at all if it is empty; NaN if none is seen.
-
-        While the ego's heading is not known, so is the nearest behind it.
-        """
-        made = np.full((len(situation.place), 2, 5), np.nan, dtype=np.float32)
-        for e, (place, boxes, angles) in enumerate(self._seen(situation)):
-            if not len(boxes):
-                continue
-            at_all = int(np.linalg.norm(boxes[:, :2] - place, axis=1).argmin())
-            gaps = [self._corridor(place, angle).gaps(boxes)[0] for angle in angles]
-            rows = [int(gap.argmin()) for gap in gaps if np.isfinite(gap).any()]
-            chosen = list(dict.fromkeys(rows or [at_all]))
-            made[e, : len(chosen)] = boxes[chosen]
-        return torch.from_numpy(made).to(situation.coverage)
-
-    def ahead(self, situation: Situation, gap: float) -> Float[Tensor, "E 2 5"]:
-        """A car that many metres before the ego's bumper, that heads as the ego does.
-
-        While the heading is not known there is one at either end of the ego; NaN if not even the axis is known.
-        """
-        made = np.full((len(situation.place), 2, 5), np.nan, dtype=np.float32)
-        for e, (place, _, angles) in enumerate(self._seen(situation)):
-            for p, angle in enumerate(angles):
-                way = (FRONT + gap + FRONT) * np.array([np.cos(angle), np.sin(angle)])
-                made[e, p] = [*(place + way), 2 * FRONT, WIDTH, angle]
-        return torch.from_numpy(made).to(situation.coverage)
-
-    def _seen(
-        self, situation: Situation
-    ) -> list[tuple[Float[np.ndarray, " 2"], Float[np.ndarray, "_ 5"], list[float]]]:
-        """Where each ego stands, the boxes that it acts on without an attack, and the directions it may face."""
-        detector, egos = situation.detector, situation.place - grid_origin(situation.place)
-        found = situation.ego_detector().detect(situation.clean, np.full_like(egos, np.inf))
-        seen = []
-        for place, detections, angle in zip(egos, found, self.headings.angle, strict=True):
-            boxes = detections.above(detector.threshold).boxes.astype(np.float64)
-            own = np.linalg.norm(boxes[:, :2] - place, axis=1) <= OWN
-            axes = boxes[own, 4].tolist()[:1]
-            angles = (
-                [float(angle)] if np.isfinite(angle) else [turned for axis in axes for turned in (axis, axis + np.pi)]
-            )
-            seen.append((place, boxes[~own], angles))
-        return seen
-
-    def _corridor(self, place: Float[np.ndarray, " 2"], angle: float) -> Corridor:
-        end = place + REACH * np.array([np.cos(angle), np.sin(angle)])
-        return Corridor(np.stack([place, end]).astype(np.float64), FRONT)
+def car_ahead(situation: Situation, gap: float) -> Float[Tensor, "E 1 5"]:
+    """A car that many metres before each ego's bumper, that heads as the ego does."""
+    egos, away = zip(*_egos(situation), strict=True), FRONT + gap + FRONT
+    made = [[*(place + away * _unit(heading)), 2 * FRONT, WIDTH, heading] for place, heading in egos]
+    return torch.tensor(made, dtype=torch.float32)[:, None].to(situation.coverage)
 
 
-@dataclass
-class LeaderAttack:
-    """A gradient attack whose place follows the ego: what it needs of every frame, attacked or not, it reads here."""
+def _egos(situation: Situation) -> tuple[Float[np.ndarray, "E 2"], Float[np.ndarray, " E"]]:
+    """Where each ego stands in its grid frame, and which way it faces."""
+    return situation.place - grid_origin(situation.place), situation.heading
 
-    attack: GradientAttack
-    headings: EgoHeadings
 
-    def reset(self, n_worlds: int, rng: Streams) -> None:
-        self.headings.angle = np.zeros(0)
-        self.attack.reset(n_worlds, rng)
+def _unit(heading: float) -> Float[np.ndarray, " 2"]:
+    return np.array([np.cos(heading), np.sin(heading)])
 
-    def act(self, situation: Situation) -> Float[Tensor, "E k C H W"]:
-        """See `Attack.act`."""
-        self.headings.update(situation)
-        return self.attack.act(situation)
+
+def _seen(situation: Situation) -> list[Float[np.ndarray, "_ 5"]]:
+    """The boxes that each ego acts on without an attack, its own left out."""
+    places, _ = _egos(situation)
+    found = situation.ego_detector().detect(situation.clean, np.full_like(places, np.inf))
+    seen = []
+    for place, detections in zip(places, found, strict=True):
+        boxes = detections.above(situation.detector.threshold).boxes.astype(np.float64)
+        seen.append(boxes[np.linalg.norm(boxes[:, :2] - place, axis=1) > OWN])
+    return seen
 
 
 def nearest_removal(
@@ -170,17 +114,14 @@ def nearest_removal(
     Raises:
         ValueError: a negative price.
     """
-    headings = EgoHeadings()
-    objective = Remove(_Lane(headings).nearest, keep=_price(keep))
-    search = GradientAttack(
+    return GradientAttack(
         ProjectedGradient(steps, step_size),
         random_start=random_start,
         restarts=restarts,
-        objective=objective,
+        objective=Remove(nearest_in_lane, keep=_price(keep)),
         target_groups=target_groups,
         joint=joint,
     )
-    return LeaderAttack(search, headings)
 
 
 def phantom_ahead(
@@ -215,17 +156,14 @@ def phantom_ahead(
     """
     if not 0 < gap <= FARTHEST:
         raise ValueError(f"gap must be more than 0 and at most {FARTHEST:g} m, so that the ego can see it; got {gap}")
-    headings = EgoHeadings()
-    lane = _Lane(headings)
-    search = GradientAttack(
+    return GradientAttack(
         ProjectedGradient(steps, step_size),
         random_start=random_start,
         restarts=restarts,
-        objective=Plant(lambda situation: lane.ahead(situation, gap), keep=_price(keep)),
+        objective=Plant(lambda situation: car_ahead(situation, gap), keep=_price(keep)),
         target_groups=target_groups,
         joint=joint,
     )
-    return LeaderAttack(search, headings)
 
 
 def _price(keep: float) -> float:

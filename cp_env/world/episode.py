@@ -129,6 +129,11 @@ def ego_place(scene: Scene, frame: int) -> Float[np.ndarray, " 2"]:
     return scene.pose[frame, scene.connected[0], :2]
 
 
+def ego_heading(scene: Scene, frame: int) -> float:
+    """Which way the ego faces in the world; rad."""
+    return float(scene.pose[frame, scene.connected[0], 2])
+
+
 def make_views(
     detector: DetectorLike,
     dense: Dense,

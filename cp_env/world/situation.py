@@ -50,6 +50,7 @@ class Situation:
     norm: str
     detector: DetectorLike
     place: Float[np.ndarray, "E 2"]  # where the egos stand in the world; m
+    heading: Float[np.ndarray, " E"]  # which way they face there; rad
     output: tuple[View | None, ...]  # what they acted on in the last frame; None in the first
     verdict: tuple[Verdict | None, ...]  # of the last frame
     simulate: Callable[[Float[Tensor, "E k C H W"], Sequence[np.random.Generator]], SimulatedOutcome]

@@ -25,7 +25,7 @@ from cp_env.settings import WORLD_DEFAULTS, Options, Settings
 from cp_env.types import SceneSource, View
 from cp_env.world import absence
 from cp_env.world.absence import Absences
-from cp_env.world.episode import Episode, ego_place, empty_maps, make_views, stack_ego_context, stack_maps
+from cp_env.world.episode import Episode, ego_heading, ego_place, empty_maps, make_views, stack_ego_context, stack_maps
 from cp_env.world.reset import EpisodePlan, ResetOptions, Seed, options_of, plan_episode
 from cp_env.world.scene_cache import SceneBank
 from cp_env.world.situation import Clock, Outcome, SimulatedOutcome, Situation, clean_output
@@ -252,6 +252,7 @@ class World:
                 norm=self.settings.norm,
                 detector=self.detector,
                 place=np.stack([ego_place(ep.scene, t) for ep, t in places]),
+                heading=np.array([ego_heading(ep.scene, t) for ep, t in places]),
                 output=tuple(s.output for s in self._worlds),
                 verdict=tuple(s.verdict for s in self._worlds),
                 simulate=self._simulate,

@@ -60,6 +60,7 @@ def situation(
         norm="linf",
         detector=model,
         place=np.zeros((n_worlds, 2)),
+        heading=np.zeros(n_worlds),
         output=(None,) * n_worlds,
         verdict=(None,) * n_worlds,
         simulate=simulate,
