@@ -19,10 +19,17 @@ def _own(*, fusion: str = "mean", weights: Path | None = None, precision: str = 
     return made.with_precision(precision)
 
 
-def _coperception(*, checkpoint: Path, fusion: str = "mean") -> DetectorLike:
+def _coperception(
+    *,
+    checkpoint: Path,
+    fusion: str = "mean",
+    rounds: int = 3,
+    resampling: str = "affine",
+    all_boxes: bool = False,
+) -> DetectorLike:
     from cp_env.detector.coperception import load_checkpoint
 
-    return load_checkpoint(checkpoint, fusion=fusion)
+    return load_checkpoint(checkpoint, fusion=fusion, rounds=rounds, resampling=resampling, all_boxes=all_boxes)
 
 
 DETECTORS: Registry[DetectorLike] = Registry(
@@ -45,8 +52,9 @@ def open_detector(
     """A detector by its name, or the object itself, on `device`.
 
     Args:
-        detector: "cp_env" (or "cp_env:weights=FILE"), "coperception" (or "coperception:checkpoint=FILE"),
-            "module:Class" of yours with options or without, or an object.
+        detector: "cp_env" (or "cp_env:weights=FILE"), "coperception" (or "coperception:checkpoint=FILE", with
+            the options of `load_checkpoint`, as all_boxes=true), "module:Class" of yours with options or without, or an
+            object.
         fusion: the fusion of a detector that is named.
         checkpoint: coperception's file; for `detector="coperception"` alone.
         device: as torch spells it.
@@ -99,6 +107,8 @@ def precise(detector: str, precision: str) -> str:
 
 def _check_device(device: str) -> None:
     """ValueError for a device that torch does not know or that is not there."""
+    if not isinstance(device, str | torch.device):  # None would be torch's default
+        raise ValueError(f"device must be a name, such as 'cpu' or 'cuda:0', not {shown(device)}")
     try:
         torch.empty(0, device=device)
     except (RuntimeError, AssertionError, NotImplementedError, TypeError) as error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import sys
 from importlib import import_module
 from importlib.util import find_spec
@@ -80,5 +81,10 @@ def _is_module(name: str) -> bool:
 
 def _open(spec: PathSpec) -> SceneSource:
     module, _, attribute = SOURCES[spec.kind].partition(":")
-    source: SceneSource = spec.open(getattr(import_module(module), attribute))
+    try:
+        source: SceneSource = spec.open(getattr(import_module(module), attribute))
+    except OSError as error:
+        if error.errno != errno.ENAMETOOLONG:
+            raise
+        raise ValueError(f"{spec.kind} scenes at {shown(spec.path)}: no path can be so long") from error
     return source

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from typing import Any
@@ -48,6 +49,8 @@ class DrivingRecord:
         Raises:
             ValueError, TypeError: it is none of such an episode.
         """
+        if not isinstance(data, dict):
+            raise ValueError("a driving record is an object with names and values")
         plain: dict[str, Any] = {key: tuple(value) if isinstance(value, list) else value for key, value in data.items()}
         made = cls(**plain)
         for one in fields(cls):
@@ -59,7 +62,26 @@ class DrivingRecord:
                     raise ValueError(f"{one.name} of a driving record is of another length or type")
             elif type(value) not in _PLAIN[one.name]:
                 raise ValueError(f"{one.name} of a driving record is of another type")
+        made._check_ranges()
         return made
+
+    def _check_ranges(self) -> None:
+        """ValueError unless each value lies where such a value can lie."""
+        found = zip(self.removable, self.removed, strict=True)
+        missed = zip(self.critical, self.critical_missed, strict=True)
+        least = self.min_time_to_collision
+        lawful = (
+            all(0 <= removed <= removable <= 1 for removable, removed in found)
+            and all(0 <= missing <= there <= MAX_COUNT for there, missing in missed)
+            and all(0 <= spoofed <= 1 for spoofed in self.spoofed)
+            and all(0 <= count <= MAX_COUNT for count in (*self.decodes, self.late_frames, self.hard_brakings))
+            and all(0 <= probability <= 1 for probability in self.belief)
+            and all(0 <= v < math.inf for v in (self.mdr, self.fsr, self.hardest_braking, self.impact_speed))
+            and 0 <= self.mean_speed < math.inf
+            and (least is None or 0 <= least < math.inf)
+        )
+        if not lawful:
+            raise ValueError("values of a driving record that no episode has")
 
     def to_json(self) -> dict[str, Any]:
         """All values, fit for JSON."""
@@ -88,6 +110,9 @@ class DrivingRecord:
         """The defender's belief in each frame; no rows if it has none."""
         return np.array(self.belief, dtype=np.float64).reshape(-1, n_maps)
 
+
+MAX_COUNT = 1 << 31
+"""No count of a record is larger."""
 
 _PLAIN: dict[str, tuple[type, ...]] = {
     "late_frames": (int,),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import math
 import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
@@ -13,11 +14,12 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from cp_env.evaluation.plan.checksum import UNLIKE, UNREADABLE, Broken, Fault, stamp, verify, versions, warn_of
-from cp_env.evaluation.plan.driving_record import DrivingRecord
+from cp_env.evaluation.plan.driving_record import MAX_COUNT, DrivingRecord
 from cp_env.evaluation.plan.files import write_atomically
 from cp_env.evaluation.plan.runs import Conditions, Run
 from cp_env.metrics.average_precision import ApMeter
 from cp_env.scenes.formats.bounded import read_bytes
+from defenders.failure import Failure
 
 IOUS = (0.5, 0.7)
 
@@ -85,6 +87,7 @@ class Record:
     informed: bool = False  # whether the world showed the defender the attackers: such a one is never ranked
     driving: DrivingRecord | None = None
     critical_meter: ApMeter | None = None  # of the output over critical vehicles, at 0.5
+    failure: Failure | None = None  # what the error says, with its traceback; not stored
 
     def to_json(self) -> dict[str, Any]:
         plain = {f.name: getattr(self, f.name) for f in fields(self) if f.name in _KINDS}
@@ -106,10 +109,12 @@ class Record:
         boxes, driving, critical = (plain.pop(name) for name in ("boxes", "driving", "critical_boxes"))
         if plain.keys() != _KINDS.keys() or not all(_is(value, *_KINDS[key]) for key, value in plain.items()):
             raise ValueError("values of a record that are missing, too many, or of another type")
+        _check_ranges(**plain)
+        n_frames, n_maps = len(plain["damage"]), plain["n_maps"]
         return cls(
             meter=_unpack_meter(boxes, IOUS),
-            driving=driving and DrivingRecord.from_json(driving, len(plain["damage"]), plain["n_maps"]),
-            critical_meter=critical and _unpack_meter(critical, IOUS[:1]),
+            driving=None if driving is None else DrivingRecord.from_json(driving, n_frames, n_maps),
+            critical_meter=None if critical is None else _unpack_meter(critical, IOUS[:1]),
             **plain,
         )
 
@@ -129,6 +134,32 @@ _KINDS: dict[str, tuple[type, ...]] = {
     "informed": (bool,),
 }
 """Types of a record's values; behind `tuple`, that of its items."""
+
+
+def _check_ranges(
+    *,
+    attackers: tuple[int, ...],
+    n_maps: int,
+    grace_frames: int,
+    damage: tuple[float, ...],
+    similarity: tuple[float, ...],
+    verifications: tuple[int, ...],
+    suspects: tuple[int, ...],
+    converged: int | None,
+    seconds: float,
+    **_: Any,
+) -> None:
+    """ValueError unless each value of a record lies where such a value can lie."""
+    named = (*attackers, *suspects)
+    lawful = (
+        all(0 <= share <= 1 for share in (*damage, *similarity))
+        and all(0 <= count <= MAX_COUNT for count in (n_maps, grace_frames, *verifications))
+        and all(0 <= vehicle < n_maps for vehicle in named)
+        and (converged is None or 0 <= converged < len(damage))
+        and 0 <= seconds < math.inf
+    )
+    if not lawful:
+        raise ValueError("values of a record that no episode has")
 
 
 def _is(value: Any, kind: type, other: type | None = None) -> bool:

@@ -8,15 +8,17 @@ from __future__ import annotations
 
 import math
 import re
+import sys
 import zipfile
 import zlib
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
-from cp_env.scenes.formats.bounded import read_bytes
+from cp_env.scenes.formats.bounded import check_size, read_bytes
 
 NPZ_BYTES = 64 << 20
 """An archive is at most so long, packed."""
@@ -37,6 +39,7 @@ OBJECTS = "|O"
 
 _END, _LOCATOR = b"PK\x05\x06", b"PK\x06\x07"
 _MAGIC = b"\x93NUMPY"
+_MAGIC_BYTES = 12  # before the header, at most
 _HEADER_BYTES = 4096
 _HEADER = re.compile(
     r"\{'descr': '(?P<descr>[<>|]\w{1,12})', 'fortran_order': (?P<fortran>True|False), "
@@ -128,6 +131,25 @@ def load_npy(path: Path, limit: int = UNPACKED_BYTES) -> np.ndarray:
     return parse_npy(read_bytes(path, limit))
 
 
+def map_npy(path: Path) -> np.ndarray:
+    """The array in a `.npy` file of any size, mapped into memory: what is read of it is what is used.
+
+    Raises:
+        OSError: it cannot be read.
+        ValueError: it is none of plain values, empty, no regular file, or its size is not what its header says.
+    """
+    size = check_size(path, sys.maxsize)
+    with path.open("rb") as file:
+        header = read_header(file.read(_MAGIC_BYTES + _HEADER_BYTES))
+    dtype = plain_dtype(header.descr)
+    if any(not 0 < n < _MAX_AXIS for n in header.shape) or math.prod(header.shape) * dtype.itemsize != (
+        size - header.start
+    ):
+        raise ValueError(f"an array of shape {str(header.shape)[:80]} and type {dtype} in {size - header.start} bytes")
+    order: Literal["F", "C"] = "F" if header.fortran else "C"
+    return np.memmap(path, dtype, "r", header.start, header.shape, order)
+
+
 def load_npz(source: Path | bytes, *, limit: int = NPZ_BYTES, unpacked: int = UNPACKED_BYTES) -> dict[str, np.ndarray]:
     """The arrays of an `.npz` archive by name.
 
@@ -180,8 +202,8 @@ def check_archive(archive: zipfile.ZipFile, unpacked: int, members: int = MEMBER
     """The members of a zip archive.
 
     Raises:
-        ValueError: there are more than `members`, or two of one name; one is neither stored nor deflated; or the
-            directory promises more than `unpacked` bytes.
+        ValueError: there are more than `members`, or two of one name; one is neither stored nor deflated, or would
+            reach beyond the archive; or the directory promises more than `unpacked` bytes.
     """
     found = archive.infolist()
     if len(found) > members or len({member.filename for member in found}) != len(found):
@@ -192,4 +214,6 @@ def check_archive(archive: zipfile.ZipFile, unpacked: int, members: int = MEMBER
     for member in found:
         if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) or member.flag_bits & 1:
             raise ValueError(f"{member.filename[:80]!r} is packed or encrypted in a way that is not read")
+        if member.header_offset + member.compress_size > archive.start_dir:  # to read it would ask for that much memory
+            raise ValueError(f"{member.filename[:80]!r} would take {member.compress_size} bytes of a smaller archive")
     return found

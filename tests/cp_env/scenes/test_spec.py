@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from cp_env.scenes import SOURCES, open_source
 from cp_env.scenes.spec import PathSpec
 
 
@@ -56,3 +57,10 @@ def test_a_class_is_a_factory_too() -> None:
 def test_what_does_not_fit_is_told(query: str, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         PathSpec.parse(f"kind:here?{query}").open(opened)
+
+
+@pytest.mark.parametrize("kind", sorted(SOURCES))
+@pytest.mark.parametrize("path", ["x" * 300, "/tmp/" + "y/" * 3000, "\udce4" * 300], ids=["name", "path", "surrogates"])
+def test_a_path_that_no_file_system_takes(kind: str, path: str) -> None:
+    with pytest.raises(ValueError, match=r".+"):  # each source has words of its own
+        open_source(f"{kind}:{path}")

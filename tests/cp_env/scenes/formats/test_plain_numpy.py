@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from cp_env.scenes.formats import plain_numpy
-from cp_env.scenes.formats.plain_numpy import check_directory, load_npy, load_npz, parse_npy
+from cp_env.scenes.formats.plain_numpy import check_directory, load_npy, load_npz, map_npy, parse_npy
 
 DTYPES = ("?", "i1", "<i2", ">i4", "<i8", "u1", "<u8", "<f2", "<f4", ">f8", "<U7", "S3")
 ARRAYS = st.sampled_from(DTYPES).flatmap(
@@ -101,6 +101,15 @@ def lie_about_size(data: bytearray, at: int) -> None:
     data[at + 24 : at + 28] = (500).to_bytes(4, "little")
 
 
+def lie_about_room(data: bytearray, at: int) -> None:
+    """A stored member of 16 MB in an archive of one kilobyte: to read it would ask for the memory first."""
+    data[at + 20 : at + 28] = (1 << 24).to_bytes(4, "little") * 2
+
+
+def lie_about_begin(data: bytearray, at: int) -> None:
+    data[at + 42 : at + 46] = (1 << 24).to_bytes(4, "little")
+
+
 def other_method(data: bytearray, at: int) -> None:
     data[at + 10] = 14  # LZMA, whose dictionary may take 4 GB
 
@@ -124,6 +133,8 @@ def doubled() -> bytes:
         (lambda: b"", "its end is missing"),
         (lambda: npz(a=np.zeros(9))[:-30], "its end is missing"),
         (lambda: directory(lie_about_size), "no archive that can be read|holds"),
+        (lambda: directory(lie_about_room), "bytes of a smaller archive"),
+        (lambda: directory(lie_about_begin), "bytes of a smaller archive"),
         (lambda: directory(other_method), "packed or encrypted"),
         (lambda: directory(encrypted), "packed or encrypted"),
         (doubled, "each of its own name"),
@@ -151,3 +162,25 @@ def test_a_file_is_read_by_its_path(tmp_path: Path) -> None:
     assert load_npy(tmp_path / "a.npy").tolist() == [[0, 1, 2], [3, 4, 5]]
     with pytest.raises(ValueError, match="at most 5 are read"):
         load_npy(tmp_path / "a.npy", 5)
+
+
+@pytest.mark.parametrize("fortran", [False, True])
+def test_a_large_array_is_mapped_as_numpy_maps_it(tmp_path: Path, fortran: bool) -> None:
+    path, array = tmp_path / "a.npy", np.arange(24, dtype=np.float16).reshape(2, 3, 4)
+    np.save(path, np.asfortranarray(array) if fortran else array)
+    mapped = map_npy(path)
+    assert isinstance(mapped, np.memmap) and not mapped.flags.writeable
+    assert np.array_equal(mapped, array) and mapped.dtype == array.dtype
+
+
+def test_what_is_not_mapped(tmp_path: Path) -> None:
+    path = tmp_path / "a.npy"
+    np.save(path, np.arange(6))
+    whole = path.read_bytes()
+    for broken in (whole[:-1], whole + b"0", whole[:40], whole.replace(b"'<i8'", b"'|O1'"), b""):
+        path.write_bytes(broken)
+        with pytest.raises(ValueError, match=r"array of|header|begin"):
+            map_npy(path)
+    np.save(path, np.zeros((0, 3)))
+    with pytest.raises(ValueError, match="an array of shape"):
+        map_npy(path)
