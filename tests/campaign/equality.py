@@ -38,8 +38,6 @@ class Args:
     frames: int = 8
     seed: int = 0
     threads: int = 1
-    digits: int | None = None
-    """of the scores of boxes; all, to the bit, by default"""
     batches: tuple[int, ...] = (1,)
     """sizes of the batches; the world is played at every place of each"""
 
@@ -100,18 +98,18 @@ def trajectory(args: Args, bank: SceneBank, size: int, place: int) -> str:
     digest = hashlib.sha256()
     for _ in range(args.frames):
         outcome = world.step(attack.act(world.situation()))
-        digest.update(told(outcome, place, args.digits))
+        digest.update(told(outcome, place))
         if outcome.truncated[place]:
             break
     return digest.hexdigest()
 
 
-def told(outcome: Outcome, e: int, digits: int | None) -> bytes:
-    """Everything about one world's frame: to the bit, or scores of boxes to so many digits."""
+def told(outcome: Outcome, e: int) -> bytes:
+    """Everything about one world's frame, to the bit."""
     found, verdict = outcome.output[e].detections, outcome.verdicts[e]
-    scores = found.scores if digits is None else found.scores.round(digits)
     numbers = [outcome.damage[e], outcome.similarity[e], outcome.perturbation_norm[e], outcome.verifications[e]]
-    parts = [np.asarray(number).tobytes() for number in (*numbers, found.boxes, scores, outcome.output[e].score_map)]
+    arrays = found.boxes, found.scores, outcome.output[e].score_map
+    parts = [np.asarray(number).tobytes() for number in (*numbers, *arrays)]
     words = (sorted(verdict.collaborators), sorted(verdict.suspects), verdict.converged, outcome.errors[e])
     groups = [sorted(group) for group in outcome.judgements[e].groups]
     return b"\0".join([*parts, repr((words, groups, outcome.attackers[e].tolist())).encode()])

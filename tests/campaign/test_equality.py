@@ -1,8 +1,4 @@
-"""The small cut: every defender in this process, on toy scenes, at every place of a batch; and a difference is seen.
-
-Scores are compared to six digits: torch's sigmoid is another one for the last numbers of an array than for the others,
-in the last bit, and which are the last depends on the batch. The campaign compares them to the bit.
-"""
+"""The small cut: every defender in this process, on toy scenes, at every place of a batch; and a difference is seen."""
 
 from __future__ import annotations
 
@@ -16,7 +12,7 @@ from tests.helpers.toy_evaluation import toy_bank
 
 @pytest.mark.parametrize("name", defenders.names())
 def test_places_in_a_batch_do_not_matter(name: str) -> None:
-    args = Args(name, attack="pgd:steps=1", scenes="toy", frames=3, digits=6, batches=(1, 3))
+    args = Args(name, attack="pgd:steps=1", scenes="toy", frames=3, batches=(1, 3))
     found = dict(trajectories(args, toy_bank()))
     assert list(found) == ["place 0 of 1", "place 0 of 3", "place 1 of 3", "place 2 of 3"]
     check(found)
