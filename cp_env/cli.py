@@ -135,6 +135,7 @@ def play(
     precision: Precision = "float32",
     n_vehicles: int = 5,
     n_attackers: int = 2,
+    rsu: bool = False,
     max_frames: int = 50,
     seed: int = 0,
 ) -> None:
@@ -150,6 +151,7 @@ def play(
         precision: of the detector's maps, fusion and decoder: "float32", or the faster "bfloat16".
         n_vehicles: n, vehicles that share their maps.
         n_attackers: k, malicious vehicles among them.
+        rsu: with the road-side unit's map; one vehicle is enough then.
         max_frames: frames of the episode, five a second.
         seed: of the episode and of the actions.
     """
@@ -157,7 +159,7 @@ def play(
 
     from cp_env import parallel_env
     from cp_env.progress import track
-    from cp_env.rendering.frame import write_gif
+    from cp_env.rendering.gif import write_gif
 
     env = parallel_env(
         defender,
@@ -168,6 +170,7 @@ def play(
         precision=precision,
         n_vehicles=n_vehicles,
         n_attackers=n_attackers,
+        rsu=rsu,
         max_frames=max_frames,
         render_mode="rgb_array",
     )

@@ -20,13 +20,13 @@ from rich.console import Console
 
 from agents.arena import Bars, CommonOptions, make_attack
 from agents.arena.conditions import check_calibration
-from agents.arena.progress import announce, run_label
+from agents.arena.progress import announce, examined, run_label
 from agents.commands.common import run_program
 from cp_env import evaluation
 from cp_env.evaluation import Conditions, Run
+from cp_env.evaluation.analysis.failed_episodes import failed_episodes
 from cp_env.evaluation.report.benchmark import GLOSSARY
-from cp_env.evaluation.report.video import render_episode
-from cp_env.rendering.frame import write_gif
+from cp_env.evaluation.report.video import record_episode, write_film
 from cp_env.settings import Fusion
 
 Results = dict[Run, tuple[evaluation.Record, ...]]
@@ -78,8 +78,8 @@ def play(args: Args, conditions: Conditions, runs: Sequence[Run], console: Conso
     store = evaluation.Store(args.out, detector.digest)
     with Bars(console) as bars:
         bars.count("opening", evaluation.prepare(runs, conditions, workers), len(conditions.names), unit="scene")
-        stored = sum(isinstance(store.examine(run, conditions), tuple) for run in runs)
-        announce(len(runs), stored, conditions, f"processes: {args.workers}")
+        found = examined([(run, conditions, store) for run in runs])
+        announce(found, conditions, f"processes: {args.workers}", args.workers)
         if not args.sealed:
             check_calibration(args.defenders, detector, args.fusion)
         bars.count("playing", evaluation.execute(runs, conditions, store, workers), len(runs), run_label)
@@ -89,7 +89,9 @@ def play(args: Args, conditions: Conditions, runs: Sequence[Run], console: Conso
 def write(args: Args, conditions: Conditions, results: Results, command: str) -> tuple[Path, ...]:
     """The table as JSON and Markdown, with all that it depends on."""
     about = evaluation.about(conditions, command, seeds=args.seeds, workers=args.workers, threads=args.threads)
-    return evaluation.write_report(args.out, evaluation.summarise(results), about, evaluation.strata(results))
+    return evaluation.write_report(
+        args.out, evaluation.summarise(results), about, evaluation.strata(results), failed_episodes([results])
+    )
 
 
 def film(args: Args, conditions: Conditions) -> Path:
@@ -97,8 +99,8 @@ def film(args: Args, conditions: Conditions) -> Path:
     defender = next((name for name in args.defenders if name.startswith("prbi")), args.defenders[-1])
     k = min(max(args.ks), 2)
     run = Run(defender, args.attacks[-1], k, args.seeds[0], conditions.names[:1])
-    pictures = render_episode(run, conditions, evaluation.open_bank(conditions), make_attack)
-    return write_gif(pictures, args.out / "episode.gif")
+    pictures = record_episode(run, conditions, evaluation.open_bank(conditions), make_attack)
+    return write_film(pictures, args.out / "episode.gif")
 
 
 def program(args: Args, command: str) -> None:

@@ -26,10 +26,10 @@ from agents.learning.rollout import Episodes, open_bank, play, slug
 from cp_env.evaluation import Conditions, Run
 from cp_env.evaluation.plan.files import write_atomically
 from cp_env.evaluation.plan.runs import file_words
-from cp_env.evaluation.report.video import render_episode
-from cp_env.metrics.intervals import t_interval
+from cp_env.evaluation.report.video import record_episode, write_film
+from cp_env.metrics.intervals import Interval, t_interval
+from cp_env.metrics.shares import share_interval
 from cp_env.progress import say, track
-from cp_env.rendering.frame import write_gif
 
 HEADINGS = {"detection loss/frame": "damage", "attackers excluded": "excluded", "verifications/frame": "verifications"}
 COMMON = ("pgd", "random", "ramp:rate=0.3,first=0.2,steps=8")
@@ -127,19 +127,28 @@ def _lists(episodes: Episodes) -> dict[str, list[float]]:
 
 
 def report(played: Played, defender: str, args: Args) -> Iterator[str]:
-    """Markdown: 95 % intervals over scenes; then each policy against the worst scripted attack, paired by scene."""
+    """Markdown: 95 % intervals over scenes; then each policy against the worst scripted attack, paired by scene.
+
+    Shares have Gaffke's interval, which stays in [0, 1]; verifications have Student's, cut at 0; differences Student's.
+    """
     yield f"\nAgainst {defender}, {args.n_scenes} scenes of {args.scenes}, {args.frames} frames, k = {args.k}:\n"
     yield f"| attack | {' | '.join(HEADINGS)} |"
     yield f"|---|{'---|' * len(HEADINGS)}"
     rows = {spec: episodes for (d, spec), episodes in played.items() if d == defender}
     for spec, episodes in rows.items():
-        damage, *others = [t_interval(getattr(episodes, key)) for key in HEADINGS.values()]
+        damage, *others = [_interval(episodes, key) for key in HEADINGS.values()]
         yield f"| {spec} | {format(damage, '.3f')} | {' | '.join(format(figure, '.2f') for figure in others)} |"
     yield ""
     worst = max(scripted(defender, args), key=lambda spec: float(rows[spec].damage.mean()))
     for spec in learned(defender, args):
         more = t_interval(rows[spec].damage - rows[worst].damage)
         yield f"{spec} does {format(more, '.3f')} more per frame than {worst}, paired by scene."
+
+
+def _interval(episodes: Episodes, key: str) -> Interval:
+    """The mean over scenes: a count for verifications, else a share."""
+    values = getattr(episodes, key)
+    return t_interval(values, least=0.0) if key == "verifications" else share_interval(values)
 
 
 def write(played: Played, args: Args) -> str:
@@ -157,7 +166,7 @@ def film(args: Args, conditions: Conditions) -> Path:
     attack = [*learned(defender, args), *scripted(defender, args)][0]
     run = Run(defender, attack, args.k, args.seed, conditions.names[-1:])
     bank = open_bank(args.scenes, args.n_scenes, args.spec, args.fusion)
-    return write_gif(render_episode(run, conditions, bank, make_attack, args.gif_frames), args.out / "attack.gif")
+    return write_film(record_episode(run, conditions, bank, make_attack, args.gif_frames), args.out / "attack.gif")
 
 
 def program(args: Args, command: str) -> None:

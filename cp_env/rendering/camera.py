@@ -8,7 +8,9 @@ import numpy as np
 from jaxtyping import Float
 
 from cp_env.geometry.planar import grid_origin
-from cp_env.rendering.frame import Image3, Picture, draw
+from cp_env.rendering.frame import draw
+from cp_env.rendering.panel import Image3
+from cp_env.rendering.picture import Picture
 from cp_env.world.situation import Outcome
 from cp_env.world.world import World
 from defenders import DEFENDERS, Defender, HasThreshold
@@ -18,10 +20,14 @@ class Camera:
     """Pictures of a world's frames. It must `record` every outcome: it keeps the similarities of the episode.
 
     Sweeps are read from the scene source again when a picture is rendered, so recording costs nothing.
+
+    Args:
+        world: the world whose frames are shown.
+        attack: the attack's name, which a world does not know.
     """
 
-    def __init__(self, world: World) -> None:
-        self._world = world
+    def __init__(self, world: World, attack: str = "") -> None:
+        self._world, self._attack = world, attack
         self._outcome: Outcome | None = None
         self._similarity: list[list[float]] = [[] for _ in range(world.num_envs)]
 
@@ -67,7 +73,8 @@ class Camera:
             verifications=0 if outcome is None else int(outcome.verifications[e]),
             damage=0.0 if outcome is None else float(outcome.damage[e]),
             title=episode.scene.name,
-            defence=f"defended by {DEFENDERS.name_of(world.defenders[e])}",
+            defence=DEFENDERS.name_of(world.defenders[e]),
+            attack=self._attack,
             threshold=_alarm(world.defenders[e], everyone),
             horizon=settings.max_frames,
             extent=world.detector.extent,

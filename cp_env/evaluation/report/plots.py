@@ -21,28 +21,21 @@ from cp_env.evaluation.analysis.summary import Row
 from cp_env.evaluation.analysis.worst_case import Ranking
 from cp_env.evaluation.plan.runs import NO_ATTACK
 from cp_env.metrics.intervals import Interval
+from cp_env.rendering import style
 
+WIDTH = 9.2
+"""Inches; on a page of 690 pixels, text of 10 points is 10 pixels high."""
 MARKERS = "osD^vP*X<>pHd84hx+123"
 STYLE: dict[Any, Any] = {
+    **style.parameters(),
     "text.parse_math": False,  # names are shown as they are
     "svg.hashsalt": "cp_env",
     "font.size": 10,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "grid.color": "#e3e6ea",
-    "axes.axisbelow": True,
-    "legend.frameon": False,
+    "axes.labelsize": 10,
+    "xtick.labelsize": 10,
+    "ytick.labelsize": 10,
 }
 Colours = Mapping[str, tuple[float, float, float]]
-
-
-def colours_of(defenders: Sequence[str]) -> Colours:
-    """One colour for each defender: ten that are easy to distinguish, then steps of a wheel."""
-    few = matplotlib.colormaps["tab10"].colors  # type: ignore[attr-defined]
-    wheel = matplotlib.colormaps["hsv"](np.linspace(0, 1, len(defenders), endpoint=False))[:, :3]
-    chosen = few if len(defenders) <= len(few) else [tuple(row) for row in wheel]
-    return dict(zip(defenders, chosen, strict=False))
 
 
 def trade_off(rows: Sequence[Row], colours: Colours) -> str:
@@ -50,18 +43,18 @@ def trade_off(rows: Sequence[Row], colours: Colours) -> str:
     attacks = list(dict.fromkeys(row.attack for row in rows))
     markers = {attack: MARKERS[i % len(MARKERS)] for i, attack in enumerate(attacks)}
     with matplotlib.rc_context(STYLE):
-        figure = _figure(11, 5.2)
+        figure = _figure(WIDTH, 5.4)
         left, right = figure.subplots(1, 2, sharey=True)
         for row in rows:
             for axis, x in ((left, row.damage), (right, row.verifications)):
-                style = {"color": colours[row.defender], "marker": markers[row.attack], "ms": 7, "alpha": 0.8}
-                axis.plot(x.mean, row.ap50.mean, ls="none", **style)
+                line = {"color": colours[row.defender], "marker": markers[row.attack], "ms": 7, "alpha": 0.8}
+                axis.plot(x.mean, row.ap50.mean, ls="none", **line)
         left.set(ylim=(-0.02, 1.02), xlabel="detection loss (1 − Jaccard)/frame", ylabel="AP@0.5")
         right.set(xlabel="verifications/frame")
         for name, colour in colours.items():
             left.plot([], [], "o", color=colour, label=name)
         for attack, marker in markers.items():
-            right.plot([], [], marker, color="#555", label="no attack" if attack == NO_ATTACK else attack)
+            right.plot([], [], marker, color=style.GREY, label="no attack" if attack == NO_ATTACK else attack)
         _legend_below(figure, left, "defenders", "outside lower left")
         _legend_below(figure, right, "attacks", "outside lower right")
         return _svg(figure)
@@ -70,9 +63,9 @@ def trade_off(rows: Sequence[Row], colours: Colours) -> str:
 def bars(rankings: Sequence[Ranking], colours: Colours | None, xlabel: str) -> str:
     """Worst cases with their intervals, best on top: damage on the left, AP@0.5 on the right."""
     names = [ranking.entry for ranking in rankings]
-    shades = ["#5b6b7f" if colours is None else colours[name] for name in names]
+    shades = [style.GREY if colours is None else colours[name] for name in names]
     with matplotlib.rc_context(STYLE):
-        figure = _figure(11, 1.2 + 0.34 * len(names))
+        figure = _figure(WIDTH, 1.2 + 0.32 * len(names))
         axes = figure.subplots(1, 2, sharey=True)
         for axis, values, label in (
             (axes[0], [s.damage for s in rankings], f"detection loss/frame, {xlabel}"),
@@ -88,7 +81,7 @@ def bars(rankings: Sequence[Ranking], colours: Colours | None, xlabel: str) -> s
 def lines(curve: Curve, colours: Colours) -> str:
     """Worst cases over an axis: damage on the left, AP@0.5 on the right; one line a defender, dodged."""
     with matplotlib.rc_context(STYLE):
-        figure = _figure(11, 4.6)
+        figure = _figure(WIDTH, 4.6)
         axes = figure.subplots(1, 2)
         named = isinstance(curve.values[0], str)
         x = np.arange(len(curve.values)) if named else np.array(curve.values, dtype=float)
@@ -110,7 +103,7 @@ def lines(curve: Curve, colours: Colours) -> str:
                 )
             axis.set(ylim=(-0.02, 1.02), xlabel=AXES[curve.axis], ylabel=label)
             axis.set_xticks(x, [str(value) for value in curve.values])
-        figure.suptitle("\n".join(wrap(curve.under, 130)), fontsize="small")
+        figure.suptitle("\n".join(wrap(curve.under, 110)), fontsize="small")
         _legend_below(figure, axes[0], "defenders", "outside lower center")
         return _svg(figure)
 
@@ -123,7 +116,7 @@ def _figure(width: float, height: float) -> Figure:
 
 def _legend_below(figure: Figure, axis: Axes, title: str, where: Any) -> None:
     handles, labels = axis.get_legend_handles_labels()
-    columns = 4 if "center" in where else 2
+    columns = 3 if "center" in where else 1 if max(map(len, labels), default=0) > 20 else 2
     figure.legend(handles, labels, title=title, loc=where, ncols=columns, fontsize="small", alignment="left")
 
 
