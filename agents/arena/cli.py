@@ -30,7 +30,7 @@ import agents
 import defenders
 from agents.arena.conditions import CommonOptions, check_calibration, spread
 from agents.arena.entries import make_attack
-from agents.arena.progress import Bars, announce, run_label
+from agents.arena.progress import Bars, announce, examined, run_label
 from cp_env import evaluation
 from cp_env.evaluation.analysis.measures import measure_of
 from cp_env.evaluation.analysis.results import ArenaResults, collect_results, with_videos, write_json
@@ -204,9 +204,9 @@ def provenance(args: Args, results: ArenaResults, command: str) -> dict[str, Any
 
 def _announce(args: Args, jobs: Sequence[Job]) -> None:
     """Say what is to be played, and of which defenders the calibration is another detector's."""
-    stored = sum(isinstance(store.examine(run, conditions), tuple) for run, conditions, store in jobs)
-    who = "a Ray cluster" if args.ray is not None else f"processes: {args.workers}"
-    announce(len(jobs), stored, jobs[0][1], who)
+    processes = args.workers if args.ray is None else None
+    who = "a Ray cluster" if processes is None else f"processes: {processes}"
+    announce(examined(jobs), jobs[0][1], who, processes)
     if args.sealed:
         return  # entries are imported in processes of their own alone, and say it there
     for conditions in {conditions.fusion: conditions for _, conditions, _ in jobs}.values():

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import TypeVar
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from cp_env import progress
-from cp_env.evaluation import Conditions, Run
+from cp_env.evaluation import Conditions, Record, Run
+from cp_env.evaluation.plan.grid import Job
 from cp_env.scenes import open_source
 
 T = TypeVar("T")
@@ -49,15 +50,57 @@ def run_label(run: Run) -> str:
     return f"{run.defender} against {run.attack}, k = {run.k}"
 
 
-def announce(runs: int, stored: int, conditions: Conditions, workers: str) -> None:
+def examined(jobs: Sequence[Job]) -> list[tuple[Run, tuple[Record, ...] | None]]:
+    """Each run, with its episodes if they are stored and need not be played again."""
+    found = [(run, store.examine(run, conditions)) for run, conditions, store in jobs]
+    return [(run, records if isinstance(records, tuple) else None) for run, records in found]
+
+
+def least_time(found: Sequence[tuple[Run, tuple[Record, ...] | None]], processes: int) -> float | None:
+    """Seconds that the runs which are missing take at least, by those that are stored.
+
+    A record holds how long the world's steps took, without the attack. So this is less than the whole. A defender that
+    has no stored run is taken for the mean of the others.
+
+    Args:
+        found: runs of the plan, as `examined` gives them.
+        processes: that play at once.
+
+    Returns:
+        The time, or None if nothing is stored or nothing is missing.
+    """
+    took: dict[str, list[float]] = {}
+    missing = []
+    for run, records in found:
+        if records is None:
+            missing.append(run.defender)
+        else:
+            took.setdefault(run.defender, []).append(sum(record.seconds for record in records))
+    if not took or not missing:
+        return None
+    means = {defender: sum(of) / len(of) for defender, of in took.items()}
+    typical = sum(means.values()) / len(means)
+    return sum(means.get(defender, typical) for defender in missing) / min(processes, len(missing))
+
+
+def announce(
+    found: Sequence[tuple[Run, tuple[Record, ...] | None]],
+    conditions: Conditions,
+    workers: str,
+    processes: int | None = None,
+) -> None:
     """Say what is to be played, before it is: the plan.
 
     Args:
-        runs: of the plan.
-        stored: those of them that need not be played again.
+        found: runs of the plan, as `examined` gives them.
         conditions: their scenes and frames.
         workers: who plays, in words.
+        processes: that play at once, if that is known.
     """
-    left = "the time left is told after the first" if runs > stored else "nothing is left to play"
+    stored = sum(records is not None for _, records in found)
+    least = None if processes is None else least_time(found, processes)
+    left = "the time left is told after the first" if len(found) > stored else "nothing is left to play"
+    if least is not None:
+        left = f"at least {progress.duration(least)}, the attacks' own time left out, by the stored runs"
     where = f"{conditions.frames} frames on {len(conditions.names)} scenes of {open_source(conditions.scenes).name}"
-    progress.say(f"plan: {runs} runs ({stored} of them stored), {where}, {workers}; {left}")
+    progress.say(f"plan: {len(found)} runs ({stored} of them stored), {where}, {workers}; {left}")

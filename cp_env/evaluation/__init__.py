@@ -14,8 +14,9 @@ from __future__ import annotations
 from cp_env.attack import Attack, Learned
 from cp_env.evaluation.analysis.strata import strata
 from cp_env.evaluation.analysis.summary import Row, mean_ap, summarise
+from cp_env.evaluation.execution.failures import FailedRuns
 from cp_env.evaluation.execution.rollout import Rollout, play
-from cp_env.evaluation.execution.runner import FailedRuns, execute, execute_all, prepare
+from cp_env.evaluation.execution.runner import execute, execute_all, prepare
 from cp_env.evaluation.execution.workers import Workers, open_bank
 from cp_env.evaluation.plan.records import Record, Store
 from cp_env.evaluation.plan.runs import Conditions, Run, plan_runs

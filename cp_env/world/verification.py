@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -14,10 +15,13 @@ import numpy as np
 from cp_env.metrics import similarity
 from cp_env.types import View
 from defenders.checks import check_paid
+from defenders.failure import Failure, failure_of, one_line, paused_at
 from defenders.protocol import Defender, Inspection, Query, Verdict
 
 Pair = tuple[int, frozenset[int]]
 Perceive = Callable[[list[Pair]], list[View]]
+Compare = Callable[[Sequence[tuple[View, View]]], np.ndarray]
+"""The similarities of many pairs of views, in one go."""
 
 
 class DefenderError(RuntimeError):
@@ -60,13 +64,15 @@ def _key(a: View, b: View) -> tuple[int, int]:
     return (one, other) if one < other else (other, one)
 
 
-def prefetch_similarities(verified: Sequence[tuple[Frame, View]]) -> None:
+def prefetch_similarities(
+    verified: Sequence[tuple[Frame, View]], compare: Compare = similarity.view_similarity_many
+) -> None:
     """Compare new views with their frame's last output, all in one go: many at once cost little.
 
     No defender's results depend on it: similarities asked for later are taken from here instead of computed.
     """
     pairs = [(frame, view, frame._previous) for frame, view in verified if frame._previous is not None]
-    values = similarity.view_similarity_many([(view, previous) for _, view, previous in pairs])
+    values = compare([(view, previous) for _, view, previous in pairs])
     for (frame, view, previous), value in zip(pairs, values.tolist(), strict=True):
         frame._memo[_key(view, previous)] = (view, previous, value)
 
@@ -80,6 +86,7 @@ class Judgement:
     groups: tuple[frozenset[int], ...]  # every group asked, in order
     verifications: int  # those of them that count
     error: str | None = None
+    failure: Failure | None = None  # what the error says, with its traceback
 
 
 @dataclass(eq=False)
@@ -97,7 +104,13 @@ class _Case:
     groups: list[frozenset[int]] = field(default_factory=list)
     uncounted: list[frozenset[int]] = field(default_factory=list)  # those of them that do not count
     queries: int = 0
-    error: str | None = None
+    failure: Failure | None = None
+
+    @property
+    def error(self) -> str | None:
+        if self.failure is None:
+            return None
+        return f"defender {type(self.defender).__name__} failed in frame {self.frame.index}: {self.failure}"
 
     @property
     def verifications(self) -> int:
@@ -124,7 +137,7 @@ class _Case:
         except StopIteration as stop:
             self._conclude(stop.value)
         except Exception as error:  # whatever a plug-in raises must not reach the other worlds
-            self._fail(f"{type(error).__name__}: {error}")
+            self._fail(failure_of(error, self.inspection))
 
     def _answer(self, group: frozenset[int]) -> View:
         """A twin of the group's view: the output is made of ours."""
@@ -149,9 +162,9 @@ class _Case:
 
     def _conclude(self, verdict: object) -> None:
         if not isinstance(verdict, Verdict):
-            self._fail(f"inspect() must return a Verdict, not {type(verdict).__name__}")
+            self._refuse(f"inspect() must return a Verdict, not {type(verdict).__name__}")
         elif not verdict.collaborators & self.present or not named(verdict) <= self.everyone:
-            self._fail(
+            self._refuse(
                 f"a verdict must fuse at least one of the vehicles 0..{self.frame.n_vehicles - 1} and flag none but "
                 f"them, not fuse {sorted(verdict.collaborators)} and flag {sorted(verdict.suspects)}; present are "
                 f"{sorted(self.present)}"
@@ -165,7 +178,7 @@ class _Case:
         try:
             check_paid(shown, self._counted(), verdict.collaborators & self.present, self.present)
         except ValueError as error:
-            self._fail(str(error))
+            self._refuse(str(error))
         else:
             self.verdict, self.query = verdict, None
 
@@ -174,13 +187,17 @@ class _Case:
         paid = Counter(self.groups) - Counter(self.uncounted)
         return [group & self.present for group in paid]
 
-    def _fail(self, reason: str) -> None:
-        self.error = f"defender {type(self.defender).__name__} failed in frame {self.frame.index}: {reason}"
+    def _refuse(self, reason: str) -> None:
+        self._fail(Failure(one_line(reason), paused_at(self.inspection)))
+
+    def _fail(self, failure: Failure) -> None:
+        self.failure = failure
         self.verdict, self.query = Verdict(self.everyone), None
 
     def close(self) -> None:
         if self.inspection is not None:
-            self.inspection.close()
+            with suppress(Exception):  # it has ended, or its failure is known
+                self.inspection.close()
 
 
 def named(verdict: Verdict) -> frozenset[int]:
@@ -188,7 +205,12 @@ def named(verdict: Verdict) -> frozenset[int]:
     return verdict.collaborators | verdict.suspects
 
 
-def judge(frames: Sequence[Frame], defenders: Sequence[Defender], perceive: Perceive) -> list[Judgement]:
+def judge(
+    frames: Sequence[Frame],
+    defenders: Sequence[Defender],
+    perceive: Perceive,
+    compare: Compare = similarity.view_similarity_many,
+) -> list[Judgement]:
     """Run every defender on its frame, all in lock-step: one forward a round, however many worlds.
 
     A group asked twice in a frame is computed once but counted twice. The output is free when its group was already
@@ -198,6 +220,7 @@ def judge(frames: Sequence[Frame], defenders: Sequence[Defender], perceive: Perc
         frames: the frame of each world.
         defenders: the defender of each world.
         perceive: computes the views of a list of (world, group).
+        compare: computes their similarities to the last outputs.
 
     Returns:
         One judgement a world.
@@ -206,22 +229,24 @@ def judge(frames: Sequence[Frame], defenders: Sequence[Defender], perceive: Perc
         _Case(world=e, frame=frame, shown=frame._shown(), defender=defender, views={frame.seen.group: frame.seen})
         for e, (frame, defender) in enumerate(zip(frames, defenders, strict=True))
     ]
-    _compare([(case, case.frame.seen) for case in cases])
+    _compare([(case, case.frame.seen) for case in cases], compare)
     try:
         running = cases
         while running:
             for case in running:
                 case.advance()
             running = [case for case in running if case.query is not None]
-            _compute_missing(perceive, [(c, g) for c in running if c.query is not None for g in c.query.groups])
-        _compute_missing(perceive, [(c, c.verdict.collaborators) for c in cases if c.verdict is not None])
+            wanted = [(case, group) for case in running if case.query is not None for group in case.query.groups]
+            _compute_missing(perceive, compare, wanted)
+        outputs = [(case, case.verdict.collaborators) for case in cases if case.verdict is not None]
+        _compute_missing(perceive, compare, outputs)
     finally:
         for case in cases:
             case.close()
     return [_judgement(case) for case in cases]
 
 
-def _compute_missing(perceive: Perceive, wanted: Sequence[tuple[_Case, frozenset[int]]]) -> None:
+def _compute_missing(perceive: Perceive, compare: Compare, wanted: Sequence[tuple[_Case, frozenset[int]]]) -> None:
     """Compute the views that are not there yet, all worlds in one call."""
     there = [(case, group & case.present) for case, group in wanted]
     missing = {(case.world, group): case for case, group in there if group not in case.views}
@@ -229,12 +254,12 @@ def _compute_missing(perceive: Perceive, wanted: Sequence[tuple[_Case, frozenset
         views = perceive(list(missing))
         for (pair, case), view in zip(missing.items(), views, strict=True):
             case.views[pair[1]] = view
-        _compare(list(zip(missing.values(), views, strict=True)))
+        _compare(list(zip(missing.values(), views, strict=True)), compare)
 
 
-def _compare(verified: Sequence[tuple[_Case, View]]) -> None:
+def _compare(verified: Sequence[tuple[_Case, View]], compare: Compare) -> None:
     """Compare new views with the last outputs, and let the defenders know."""
-    prefetch_similarities([(case.frame, view) for case, view in verified])
+    prefetch_similarities([(case.frame, view) for case, view in verified], compare)
     for case, _ in verified:
         case.shown._memo.update(case.frame._memo)
 
@@ -247,6 +272,7 @@ def _judgement(case: _Case) -> Judgement:
         groups=tuple(case.groups),
         verifications=case.verifications,
         error=case.error,
+        failure=case.failure,
     )
 
 

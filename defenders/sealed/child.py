@@ -20,6 +20,7 @@ from typing import Any, TextIO
 import numpy as np
 
 import defenders
+from defenders.failure import failure_of
 from defenders.protocol import Defender, EgoFusion, Informed, Inspection, Query, Verdict
 
 WATCH = 0.5
@@ -71,8 +72,9 @@ class Server:
             request = json.loads(line)
             try:
                 answer = getattr(self, f"_do_{request.pop('op')}")(**request)
-            except Exception as error:  # whatever a plug-in raises is told to the parent
-                answer = {"error": f"{type(error).__name__}: {error}"}
+            except Exception as error:  # whatever a plug-in raises is reported to the parent
+                failure = failure_of(error)
+                answer = {"error": failure.reason, "place": failure.place, "trace": failure.trace}
             self._write(answer)
 
     def ask(self, what: str, a: Handle, b: Handle) -> float:

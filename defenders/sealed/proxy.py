@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from defenders.failure import MAX_TRACE, Failure, RemoteError, one_line, plain
 from defenders.protocol import Defender, EgoFusion, Frame, Informed, Inspection, Query, Verdict, View
 from defenders.sealed.pipe import Pipe, PipeError
 
@@ -19,7 +20,7 @@ PATIENCE = 60.0
 """Seconds that are waited for an answer; then the defender has failed, and its process is ended. Our choice."""
 
 
-class SealedError(RuntimeError):
+class SealedError(RemoteError):
     """The process of a sealed defender failed, or answered what is no answer."""
 
 
@@ -89,7 +90,8 @@ class Process:
         if not isinstance(answer, dict):
             raise SealedError(f"answered what is no answer: {answer!r:.80}")
         if "error" in answer:
-            raise SealedError(str(answer["error"])[:2000])
+            failure = received(answer)
+            raise SealedError(failure.reason, failure)
         return answer
 
 
@@ -184,6 +186,12 @@ def seal(spec: str, *, patience: float = PATIENCE) -> SealedDefender:
         raise ValueError(str(error).removeprefix("ValueError: ")) from error
     cls = SealedInformedDefender if made.get("informed") is True else SealedDefender
     return cls(spec, process, number, int(made["max_queries"]))
+
+
+def received(answer: dict[str, Any]) -> Failure:
+    """The failure that an answer reports, in plain characters and within bounds."""
+    place, trace = (str(answer.get(name, ""))[:MAX_TRACE] for name in ("place", "trace"))
+    return Failure(one_line(str(answer["error"])), one_line(place), plain(trace))
 
 
 def described(rng: np.random.Generator) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from typing import Any
 
 from cp_env.evaluation.analysis.comparisons import Difference
 from cp_env.evaluation.analysis.curves import Curve, curves
+from cp_env.evaluation.analysis.failed_episodes import failed_episodes
 from cp_env.evaluation.analysis.flags import better_than_everyone
 from cp_env.evaluation.analysis.measures import headlines, measure_of
 from cp_env.evaluation.analysis.strata import Stratum, strata
@@ -45,6 +46,7 @@ class ArenaResults:
     curves: Sequence[Curve]
     worst: Mapping[str, Worst]
     failed: str = ""  # which runs could not be played, and why
+    ended: Sequence[str] = ()  # which defenders failed and ended episodes, how often, and why
     flags: Sequence[str] = ()  # what no defender should reach
     by: str = "damage"  # the measure that ranks
     screening: Grid | None = None  # the grid on which each defender's attack was picked
@@ -112,6 +114,7 @@ def collect_results(
         curves=curves(results, None if screens is None else screens["damage"]),
         worst=worst_episodes(baseline, first, folder / "videos"),
         failed=failed,
+        ended=failed_episodes([runs for _, runs in results]),
         by=by,
         screening=screening,
     )
@@ -127,6 +130,7 @@ def write_json(results: ArenaResults, folder: Path, about: dict[str, Any]) -> li
     whole = {
         "about": about,
         "failed": results.failed,
+        "failed_episodes": results.ended,
         "flags": results.flags,
         "ranked_by": results.by,
         "screening": None if results.screening is None else results.screening.conditions.describe(),

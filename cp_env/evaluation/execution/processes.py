@@ -11,7 +11,6 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from typing import Any, TypeVar
@@ -19,17 +18,12 @@ from typing import Any, TypeVar
 import torch
 
 from cp_env.world.allocator import keep_freed_memory
+from defenders.failure import Failure as Failure
+from defenders.failure import failure_of
 
 T = TypeVar("T")
 Call = tuple[Any, ...]
 _PR_SET_PDEATHSIG = 1  # of Linux's prctl: a signal when the parent's thread ends that started this process
-
-
-@dataclass(frozen=True)
-class Failure:
-    """The failure of a call, in the place of its result."""
-
-    reason: str
 
 
 def attempt(task: Callable[..., T], call: Call) -> T | Failure:
@@ -37,7 +31,7 @@ def attempt(task: Callable[..., T], call: Call) -> T | Failure:
     try:
         return task(*call)
     except Exception as error:
-        return Failure(f"{type(error).__name__}: {error}")
+        return failure_of(error)
 
 
 def in_processes(

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import defenders
+from cp_env.evaluation.execution.failures import EpisodeFailures, FailedRuns
 from cp_env.evaluation.execution.processes import Failure
 from cp_env.evaluation.execution.rollout import play
 from cp_env.evaluation.execution.workers import Workers
@@ -15,15 +16,6 @@ from cp_env.evaluation.plan.grid import Job
 from cp_env.evaluation.plan.records import Record, Store
 from cp_env.evaluation.plan.runs import Conditions, Run
 from defenders.sealed import seal
-
-
-class FailedRuns(RuntimeError):
-    """Some runs could not be played. All others were, and are stored; the next execution tries these again."""
-
-    def __init__(self, failed: Sequence[tuple[Run, str]], n_runs: int) -> None:
-        lines = (f"  {run}: {why}" for run, why in failed)
-        super().__init__("\n".join([f"{len(failed)} of {n_runs} runs failed, all others are stored:", *lines]))
-        self.failed = tuple(failed)
 
 
 def prepare(runs: Sequence[Run], conditions: Conditions, workers: Workers) -> Iterator[str]:
@@ -41,7 +33,7 @@ def prepare(runs: Sequence[Run], conditions: Conditions, workers: Workers) -> It
         workers.make_attack(attack)
     for number, done in workers.each(_open, [(name, conditions, workers) for name in conditions.names]):
         if isinstance(done, Failure):
-            raise ValueError(f"cannot open scene {conditions.names[number]!r}: {done.reason}")
+            raise ValueError(f"cannot open scene {conditions.names[number]!r}: {done}")
         yield done
 
 
@@ -56,7 +48,8 @@ def execute_all(jobs: Sequence[Job], workers: Workers) -> Iterator[Job]:
 
     Whatever ends the execution, finished runs stay; the same call goes on. The results do not depend on how often it
     was interrupted, nor on the workers. Stored files that cannot be used are named in a warning and played anew; what
-    killed writers left behind is removed.
+    killed writers left behind is removed. The failure of a defender ends its episode and is reported on standard error
+    with its traceback, once for each kind.
 
     Raises:
         CannotWrite: before anything is played, a store that cannot be written; or the disk is full later on.
@@ -78,16 +71,17 @@ def execute_all(jobs: Sequence[Job], workers: Workers) -> Iterator[Job]:
     warn_of([fault for fault in faults if fault.kind == COPIES], "they are left alone, and not counted")
     for folder in {store.folder: None for _, _, store in todo}:
         check_writable(folder)
-    failed = []
+    failed, ended = [], EpisodeFailures()
     for number, done in workers.each(_play, [(run, conditions, workers) for run, conditions, _ in todo]):
         run, conditions, store = todo[number]
         if isinstance(done, Failure):
-            failed.append((run, done.reason))
+            failed.append((run, done))
             continue
         store.write(run, conditions, done)
+        ended.report(run, done)
         yield todo[number]
     if failed:
-        raise FailedRuns(failed, len(jobs))
+        raise FailedRuns(failed, [run for run, _, _ in jobs])
 
 
 def _strangers(jobs: Sequence[Job]) -> list[Fault]:

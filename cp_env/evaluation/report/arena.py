@@ -11,7 +11,7 @@ from cp_env.evaluation.analysis.measures import MEASURES, measure_of
 from cp_env.evaluation.analysis.results import ArenaResults
 from cp_env.evaluation.plan.files import write_atomically
 from cp_env.evaluation.report import html, plots
-from cp_env.evaluation.report.benchmark import GLOSSARY, INTERVALS
+from cp_env.evaluation.report.benchmark import ENDED, GLOSSARY, INTERVALS, ended_markdown
 from cp_env.evaluation.report.driving import DRIVING
 from cp_env.evaluation.report.tables import (
     Table,
@@ -25,6 +25,7 @@ from cp_env.evaluation.report.tables import (
     pairwise_results,
     strata_table,
 )
+from cp_env.rendering import style
 
 LOOKED_UP = """\
 In each scene a defender meets the attack that is worst for it there by the measure of the column. The attack is \
@@ -47,9 +48,10 @@ table. Fewer than six scenes tell nobody apart."""
 APART = """\
 Episodes in which the ego is benign, and those in which it is an attacker itself: it never leaves out its own map."""
 VIDEO_CAPTION = """\
-The ego of each defender in its worst episode, every other frame. Green: a true vehicle that was found, under the \
-ego's blue box; yellow: missed; magenta: a ghost. White discs are fused; red rings are attackers, orange crosses are \
-flagged. Below, the similarity to the previous output, with the alarm threshold where there is one."""
+What the ego of each defender perceives in its worst episode, every other frame; the loop begins with the frame that \
+tells most. Green: a true vehicle that was found, with the blue box that is perceived there; yellow, filled: missed; \
+purple, crossed out: a ghost. White discs are fused, empty ones are not; orange rings are attackers, crosses suspects. \
+Below, the similarity to the previous output, with the alarm threshold where there is one."""
 
 
 def lead(results: ArenaResults) -> str:
@@ -78,7 +80,7 @@ def ranking_words(results: ArenaResults) -> str:
 def draw_plots(results: ArenaResults) -> dict[str, str]:
     """SVG by name: "defenders", "attacks", "trade-off" and one for each curve."""
     rows = results.rows_at[results.baseline.point]
-    colours = plots.colours_of(list(dict.fromkeys(row.defender for row in rows)))
+    colours = style.defender_colours(list(dict.fromkeys(row.defender for row in rows)))
     worst = "worst attack of each scene" if results.screening is None else "screened attack"
     drawn = {}
     if results.defenders:
@@ -150,6 +152,8 @@ def write_html(results: ArenaResults, drawn: Mapping[str, str], folder: Path, ab
     parts.append(("How it was made", [html.preformatted(about["command"]), html.facts(_facts(about))]))
     if results.flags:
         parts.insert(0, ("To be looked at", [html.paragraph(flag, "warning") for flag in results.flags]))
+    if results.ended:
+        parts.insert(0, ("Failed episodes", [html.paragraph("\n".join([ENDED, *results.ended]), "warning")]))
     if results.failed:
         parts.insert(0, ("Not played", [html.paragraph(results.failed, "warning")]))
     path = folder / "arena.html"
@@ -168,6 +172,7 @@ def write_markdown(
     tables, headings, words = make_tables(results), headings_of(results), words_of(results)
     parts = [f"# {title}\n", lead(results) + "\n"]
     parts += [f"**Not played.**\n\n```\n{results.failed}\n```\n"] if results.failed else []
+    parts += [ended_markdown(results.ended)] if results.ended else []
     flags = "\n".join(f"* {flag}" for flag in results.flags)
     parts += [f"**To be looked at.**\n\n{flags}\n"] if flags else []
     links = dict(links or {})

@@ -60,6 +60,9 @@ values. Two entries that played the same episodes differ by less than their inte
 suggest.
 """
 
+ENDED = """\
+A defender that fails ends its episode there. In a ranking the frames that are missing count as if nothing had been \
+found in them."""
 GLOSSARY = """\
 * AP: of the output, pooled over frames; every vehicle in range counts, seen or not.
   Counted strictly unless the conditions name another AP protocol.
@@ -131,8 +134,18 @@ def about(conditions: Conditions, command: str, **notes: Any) -> dict[str, Any]:
     }
 
 
+def ended_markdown(texts: Sequence[str]) -> str:
+    """What `failed_episodes` gives, with what it means, in Markdown; no text ends the block of code."""
+    lines = "\n".join(text.replace("`", "'") for text in texts)
+    return f"**Failed episodes.** {ENDED}\n\n```\n{lines}\n```\n"
+
+
 def write_report(
-    folder: Path, rows: Sequence[Row], provenance: dict[str, Any], strata: Sequence[Stratum] = ()
+    folder: Path,
+    rows: Sequence[Row],
+    provenance: dict[str, Any],
+    strata: Sequence[Stratum] = (),
+    ended: Sequence[str] = (),
 ) -> tuple[Path, Path]:
     """Write `results.json` and `results.md`.
 
@@ -141,6 +154,7 @@ def write_report(
         rows: of the table.
         provenance: what `about` gives.
         strata: the same rows over the episodes where the ego is, and is not, an attacker.
+        ended: which defenders failed and ended episodes: see `failed_episodes`.
 
     Returns:
         Both paths.
@@ -148,11 +162,13 @@ def write_report(
     json_path, markdown_path = folder / "results.json", folder / "results.md"
     apart = {stratum.name: [row.to_json() for row in stratum.rows] for stratum in strata}
     data = {"about": provenance, "rows": [row.to_json() for row in rows], **({"strata": apart} if apart else {})}
+    data |= {"failed_episodes": list(ended)} if ended else {}
     write_atomically(json_path, json.dumps(data, indent=1) + "\n")
     size = f"{rows[0].n_scenes} scenes, {rows[0].n_episodes} episodes a row." if rows else "Nothing was played."
     parts = (
         markdown(rows, short=True),
         f"```sh\n{provenance['command']}\n```\n",
+        *([ended_markdown(ended)] if ended else []),
         markdown(rows),
         f"{size} {INTERVALS}",
         *(f"{stratum.title}:\n\n{markdown(stratum.rows)}" for stratum in strata),

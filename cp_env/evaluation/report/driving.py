@@ -12,6 +12,7 @@ from cp_env.metrics.intervals import Interval
 COLUMNS: tuple[tuple[str, str, str], ...] = (
     ("critical recall", "critical_recall", ".3f"),
     ("critical AP@.5", "critical_ap", ".3f"),
+    ("certified recall", "certified", ".3f"),
     ("removal", "removal", ".2f"),
     ("spoofing", "spoofing", ".2f"),
     ("streak", "streak", ".1f"),
@@ -32,6 +33,9 @@ COLUMNS: tuple[tuple[str, str, str], ...] = (
 DRIVING = """\
 * critical recall, critical AP@.5: over the vehicles within 10 m in the ego's corridor,
   or with a time to collision below 4 s; others count neither way.
+* certified recall: share of the vehicles that at least 2k + 1 single views find. No k
+  attackers can hide them from an ego that lets the views vote, whatever they send. It
+  depends on scenes, detector and fleet, not on defender or attack.
 * removal: share of the frames in which the nearest vehicle is missing that the
   unattacked output finds; spoofing: share of the frames with a ghost where a standing
   car would be critical; streak: most consecutive frames of either.

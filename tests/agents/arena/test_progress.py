@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import io
+from pathlib import Path
 
 import pytest
 from rich.console import Console
 
-from agents.arena.progress import Bars, announce, run_label
-from cp_env.evaluation import Conditions, Run
+from agents.arena.progress import Bars, announce, examined, least_time, run_label
+from cp_env.evaluation import Conditions, Run, Store
+from tests.helpers.toy_evaluation import record
 from tests.helpers.toy_scenes import ToySource
 
 
@@ -29,12 +31,33 @@ def test_all_steps_are_taken(terminal: bool, capsys: pytest.CaptureFixture[str])
 
 def test_a_plan_says_what_is_left(capsys: pytest.CaptureFixture[str]) -> None:
     conditions = Conditions(ToySource(n_frames=3), ("toy-0", "toy-1"), frames=3)
-    announce(7, 2, conditions, "processes: 4")
+    runs = [Run("none", "none", 0, seed, conditions.names) for seed in range(7)]
+    kept = (record("toy-0", "1", 1),)
+    announce([(run, kept if run.seed < 2 else None) for run in runs], conditions, "processes: 4")
     assert "plan: 7 runs (2 of them stored), 3 frames on 2 scenes of toy, processes: 4; the time left" in (
         capsys.readouterr().err
     )
-    announce(7, 7, conditions, "processes: 4")
+    announce([(run, kept) for run in runs], conditions, "processes: 4", 4)
     assert "nothing is left to play" in capsys.readouterr().err
+
+
+def test_a_plan_says_the_least_time_that_stored_runs_speak_for(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By hand: none took 4 s and 8 s, prbi 20 s; missing are one of each and one of a third, 6 + 20 + 13 s."""
+    conditions, store = Conditions(ToySource(n_frames=3), ("toy-0", "toy-1"), frames=3), Store(tmp_path)
+    runs = [Run(d, "none", 0, seed, conditions.names) for seed in range(3) for d in ("none", "prbi", "bayes")]
+    jobs = [(run, conditions, store) for run in (*runs[:5], runs[6])]
+    assert least_time(examined(jobs), 2) is None, "nothing is stored"
+    for run, seconds in ((runs[0], 2.0), (runs[3], 4.0), (runs[1], 10.0)):
+        made = [record(name, "1", 1, attackers=(), suspects=(), seconds=seconds) for name in run.names]
+        store.write(run, conditions, made)
+    found = examined(jobs)
+    assert least_time(found, 1) == 6.0 + 20.0 + 13.0 and least_time(found, 2) == 39.0 / 2
+    assert least_time(found, 8) == 39.0 / 3, "no more processes than runs"
+    assert least_time(found[:1], 1) is None, "nothing is missing"
+    announce(found, conditions, "processes: 1", 1)
+    assert "processes: 1; at least 0:39, the attacks' own time left out, by the stored runs" in capsys.readouterr().err
 
 
 def test_a_run_in_a_few_words() -> None:

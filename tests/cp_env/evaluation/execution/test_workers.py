@@ -46,7 +46,9 @@ def test_workers_change_no_result_and_a_dead_one_costs_its_run(
     assert untimed(store.load(RUNS, CONDITIONS)) == untimed(Store(whole).load(RUNS, CONDITIONS))
     why = {run.attack.rpartition(":")[2]: reason for run, reason in caught.value.failed}
     assert why["Clumsy"] == "RuntimeError: stumbled in frame 0" and "died" in why["Fatal"]
-    assert "none against tests.helpers.toy_evaluation:Clumsy, k = 2, seed 7, on toy-0, toy-1: " in str(caught.value)
+    said = str(caught.value)
+    assert "attack tests.helpers.toy_evaluation:Clumsy failed in 1 of 1 runs: RuntimeError: stumbled in frame 0" in said
+    assert "in: none against tests.helpers.toy_evaluation:Clumsy, k = 2, seed 7, on toy-0, toy-1\n" in said
     again = plan_runs(
         CONDITIONS, defenders=("none",), attacks=("tests.helpers.toy_evaluation:Clumsy",), ks=(2,), seeds=(7,)
     )

@@ -22,7 +22,7 @@ from cp_env.evaluation.analysis.worst_episodes import Worst
 from cp_env.evaluation.plan.grid import Axes
 from cp_env.evaluation.report.arena import draw_plots, write_html, write_markdown
 from cp_env.evaluation.report.leaderboard import write_leaderboard
-from cp_env.rendering.frame import write_gif
+from cp_env.rendering.gif import write_gif
 from tests.helpers.browser import CHROMIUM, DRIVER, Browser, browser
 from tests.helpers.toy_evaluation import CONDITIONS, record
 
@@ -43,7 +43,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
             frames = {
                 "attackers": (number % 2, 3, 4)[: run.k],
                 "damage": (0.0, harm, harm),
-                "error": "why" if number == 3 else None,
+                "error": f"defender Wall failed in frame 2: ```{HOSTILE}, at m.py:3 in f" if number == 3 else None,
                 "informed": run.defender == "seer",
             }
             made = [record(s, "110" if harm < 0.5 else "01", 3 + len(s) % 2, **frames) for s in run.names]
@@ -88,6 +88,20 @@ def test_everything_is_inside_and_names_are_text(page: Path) -> None:
     for gif in re.findall(r"data:image/gif;base64,([^\"]+)", text):
         assert Image.open(io.BytesIO(base64.b64decode(gif))).n_frames == 2
     assert all(version in text for version in ("torch", "numpy", "threads", "seeds", "workers"))
+
+
+def test_episodes_that_a_defender_ended_are_said(page: Path) -> None:
+    """Each of the four grids has a run of two of them."""
+    text = (page.parent / "arena.md").read_text()
+    line = next(line for line in text.splitlines() if " ended " in line)
+    assert "**Failed episodes.** A defender that fails ends its episode" in text
+    assert line.startswith("defender ") and " ended 8 of its 32 episodes: " in line
+    assert line.endswith(f"'''{HOSTILE}, at m.py:3 in f")
+    (told,) = json.loads((page.parent / "arena.json").read_text())["failed_episodes"]
+    assert told == line.replace("'''", "```")
+    shown = page.read_text()
+    assert shown.index(">Not played<") < shown.index(">Failed episodes<") < shown.index(">Defenders<")
+    assert "at m.py:3 in f</p>" in shown
 
 
 def test_the_same_results_give_the_same_bytes(page: Path) -> None:

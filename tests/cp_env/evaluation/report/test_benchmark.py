@@ -42,7 +42,10 @@ def test_a_rate_of_episodes_is_printed_with_its_count() -> None:
 
 def test_both_cases_of_the_ego_are_in_the_report(tmp_path: Path) -> None:
     results = {Run("prbi", "pgd", 2, 0, ("a", "b")): [record("a", "1", 1, attackers=(0, 2)), record("b", "1", 1)]}
-    write_report(tmp_path, summarise(results, resamples=5), about(CONDITIONS, "x"), strata(results, resamples=5))
+    parts = summarise(results, resamples=5), about(CONDITIONS, "x"), strata(results, resamples=5)
+    assert "Failed episodes" not in write_report(tmp_path, *parts)[1].read_text()
+    write_report(tmp_path, *parts, ["defender wall ended 1 of its 2 episodes: ```KeyError"])
+    assert "defender wall ended 1 of its 2 episodes: '''KeyError\n```" in (tmp_path / "results.md").read_text()
     text = (tmp_path / "results.md").read_text()
     assert "Episodes in which the ego is benign:" in text and "Episodes in which the ego is an attacker:" in text
     data = json.loads((tmp_path / "results.json").read_text())
