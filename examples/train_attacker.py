@@ -21,7 +21,7 @@ from cp_env.progress import Progress
 
 def main(args: Args) -> None:
     torch.set_num_threads(1)
-    recipe = args.recipe
+    recipe = args.settled()
     with Progress("learning", recipe.n_segments * recipe.segment, "frame") as progress:
         curve = train(recipe, args.folder, tensorboard=True, report_progress=progress.to)
     most = max(evaluation["damage"] for evaluation in curve)

@@ -3,6 +3,7 @@
     cp-train detector --scenes mine:Folder:folder=data --out runs/mine     # then: cp-env evaluate --calibrate
     cp-train attack --defender prbi --seed 1                             # PPO; the policy that did most damage is kept
     cp-train sweep --defenders prbi robosac --seeds 0 1                  # configurations × seeds, the strongest kept
+    cp-train tune --trials 20                                            # PPO's hyperparameters, by Optuna, as a file
 
 Each goes on where a killed run stopped. `cp-train attack --help` and so on list the options. Attacks are trained by
 Stable-Baselines3: pip install 'cp-env[agents]'.
@@ -22,6 +23,7 @@ COMMANDS = {
     "attack": "agents.commands.train_attack",
     "detector": "agents.commands.train_detector",
     "sweep": "agents.commands.train_sweep",
+    "tune": "agents.commands.train_tune",
 }
 """Modules, imported when they are asked for: a detector is trained without Stable-Baselines3."""
 

@@ -13,21 +13,11 @@ from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecEnv
 from torch import Tensor
 
+from agents.learning.hyperparameters import PPO_OPTIONS
 from agents.learning.lstm import Memory
 from agents.learning.policy import MEMORY, Policy
 from cp_env.detector.model.tensors import read_tensors
 from cp_env.scenes.formats.bounded import parse_json
-
-PPO_OPTIONS: dict[str, Any] = {
-    "n_steps": 32,
-    "batch_size": 128,
-    "n_epochs": 8,
-    "learning_rate": 1e-3,
-    "gamma": 0.9,
-    "gae_lambda": 0.9,
-    "ent_coef": 0.0,
-}
-"""Few and costly frames, returns that hang on the next seconds: short rollouts, a short horizon."""
 
 NETWORK: dict[str, Any] = {"net_arch": {"pi": [64, 64], "vf": [64, 64]}, "log_std_init": -0.7}
 """Exploration begins at half the action range: at SB3's usual deviation of 1 most numbers would be clipped."""

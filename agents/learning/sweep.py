@@ -23,7 +23,7 @@ from agents.learning.callbacks import Evaluation, read_curve
 from agents.learning.rollout import slug
 from agents.learning.training import Recipe, train
 from cp_env.evaluation.execution.processes import end_with_parent
-from cp_env.metrics.intervals import t_interval
+from cp_env.metrics.shares import share_interval
 from cp_env.world.allocator import keep_freed_memory
 from defenders.registry import Spec, typed_options
 
@@ -160,7 +160,7 @@ class Line:
     strongest: bool  # it holds the policy that is kept
 
     def row(self) -> str:
-        damage, excluded = t_interval(list(self.damage)), t_interval(list(self.excluded))
+        damage, excluded = share_interval(list(self.damage)), share_interval(list(self.excluded))
         name = f"{self.configuration}{' (kept)' if self.strongest else ''}"
         values = f"{format(damage, '.3f')} | {max(self.damage):.3f} | {format(excluded, '.2f')}"
         return f"| {self.defender} | {name} | {len(self.seeds)} | {values} |"

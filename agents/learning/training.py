@@ -21,13 +21,14 @@ from stable_baselines3.common.vec_env import VecMonitor
 
 import defenders
 from agents.learning.callbacks import Evaluation, FrameDamage, Holdout
+from agents.learning.hyperparameters import PPO_OPTIONS, check_hyperparameters
 from agents.learning.policy import Policy, load_policy
-from agents.learning.ppo import PPO_OPTIONS, adopt, export, load_checkpoint, make_ppo, save_checkpoint
+from agents.learning.ppo import adopt, export, load_checkpoint, make_ppo, save_checkpoint
 from agents.learning.rollout import Episodes, open_bank, play
 from agents.sb3 import AdversaryVecEnv, make_vec_env
 from cp_env.detector.registry import precise
 from cp_env.evaluation import Conditions
-from cp_env.settings import Action, Fusion, Knowledge, Precision, Settings
+from cp_env.settings import Action, Fusion, Knowledge, Precision, RewardName, Settings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,8 +45,8 @@ class Recipe:
     """what its numbers mean: guided, stealth or basis, see docs/actions.md"""
     knowledge: Knowledge = "black-box"
     """how much of the defender the policy sees: black-box, gray-box or white-box"""
-    reward: str = "damage"
-    """the reward of the attackers: damage, ap_drop or stealth"""
+    reward: RewardName = "damage"
+    """the reward of the attackers, see docs/rewards.md"""
     seed: int = 0
     """of the learner, the scenes and the attackers"""
     frames: int = 5_000
@@ -71,8 +72,22 @@ class Recipe:
     """of the detector's maps, fusion and decoder: bfloat16 is faster, see docs/speed.md"""
     every: int = 5
     """rollouts in a segment: then the policy is played on the scenes held back, and a checkpoint is written"""
-    learning_rate: float = 1e-3
-    gamma: float = 0.9
+    n_steps: int = PPO_OPTIONS["n_steps"]
+    """frames of each world in a rollout, after which PPO learns"""
+    batch_size: int = PPO_OPTIONS["batch_size"]
+    """steps in a minibatch; a rollout holds n_steps × worlds × attackers of them, or n_steps × worlds with joint"""
+    n_epochs: int = PPO_OPTIONS["n_epochs"]
+    """how often PPO goes through a rollout"""
+    learning_rate: float = PPO_OPTIONS["learning_rate"]
+    """Adam's step size"""
+    gamma: float = PPO_OPTIONS["gamma"]
+    """discount of a frame"""
+    gae_lambda: float = PPO_OPTIONS["gae_lambda"]
+    """λ of generalised advantage estimation"""
+    ent_coef: float = PPO_OPTIONS["ent_coef"]
+    """weight of the policy's entropy"""
+    clip_range: float = PPO_OPTIONS["clip_range"]
+    """how far a probability ratio may move in one update"""
     begin: str | None = None
     """a policy whose actor is learned on: a name of agents.learning.policy.policy_names(), or a .safetensors file"""
 
@@ -86,6 +101,12 @@ class Recipe:
         for name in ("frames", "worlds", "every"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be at least 1, not {getattr(self, name)}")
+        check_hyperparameters(self.hyperparameters)
+
+    @property
+    def hyperparameters(self) -> dict[str, Any]:
+        """Of PPO, by name: see `agents.learning.hyperparameters`."""
+        return {name: getattr(self, name) for name in PPO_OPTIONS}
 
     @property
     def options(self) -> dict[str, Any]:
@@ -103,7 +124,7 @@ class Recipe:
     @property
     def segment(self) -> int:
         """Frames of a segment, all worlds together."""
-        return int(self.worlds * self.every * PPO_OPTIONS["n_steps"])
+        return self.worlds * self.every * self.n_steps
 
 
 def train(
@@ -132,9 +153,7 @@ def train(
     _claim(folder, recipe)
     env = _environment(recipe)
     monitored = VecMonitor(env)
-    model = make_ppo(
-        monitored, recipe.seed, recurrent=recipe.recurrent, learning_rate=recipe.learning_rate, gamma=recipe.gamma
-    )
+    model = make_ppo(monitored, recipe.seed, recurrent=recipe.recurrent, **recipe.hyperparameters)
     if tensorboard:
         model.set_logger(configure(str(folder), ["tensorboard"]))
     checkpoint = folder / "checkpoint.safetensors"

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
+from agents.attacks.objectives.detection import DetectionLoss
 from agents.attacks.objectives.targeted import plant, remove
 from agents.attacks.spec import named
 from agents.attacks.targets import AttackTargets, Objective, ViewLoss
@@ -34,6 +35,7 @@ OBJECTIVES: dict[str, Callable[..., Objective]] = {
     "both": UntargetedObjective,
     "hide": partial(UntargetedObjective, 1.0, 0.0, 0.0),
     "spoof": partial(UntargetedObjective, 0.0, 1.0, 0.0),
+    "detection_loss": DetectionLoss,
     "remove": remove,
     "plant": plant,
 }
@@ -43,9 +45,8 @@ def make_objective(objective: str | Objective) -> Objective:
     """An objective by name, or the function itself.
 
     Args:
-        objective: `both`, `hide`, `spoof`, `remove@3`, `remove@12.5:-3`, `plant@10:4:0.5` (see
-        `agents.attacks.objectives.targeted`), or
-            an objective.
+        objective: `both`, `hide`, `spoof`, `detection_loss`, `remove@3`, `remove@12.5:-3`, `plant@10:4:0.5` (see
+            `agents.attacks.objectives`), or an objective.
 
     Returns:
         The objective.

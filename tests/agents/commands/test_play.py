@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from agents.commands import play
 from agents.commands.play import Args, conditions_of, learned, play_all, scripted, write
+from agents.learning.rollout import Episodes
+from cp_env.metrics.shares import share_interval
 
 SCENES = "tests.helpers.toy_scenes:ToySource:n_frames=3,n_connected=3"
 
@@ -47,6 +51,17 @@ def test_episodes_are_kept_and_told(
     monkeypatch.setattr(play, "play", None)  # nothing is played again
     again = play_all(args, conditions)
     assert {run: e.damage.tolist() for run, e in again.items()} == {run: e.damage.tolist() for run, e in played.items()}
+
+
+def test_intervals_of_shares_stay_in_their_range(args: Args) -> None:
+    """Student's would be 0.700 [-0.161, 1.561] here, and -2.30 at the low end of the verifications."""
+    damage, ones = np.array([0.3, 0.9, 0.9]), np.ones(3)
+    made = Episodes(damage, ones, ones, np.array([0.0, 0.0, 4.0]), np.array([1.0, 1.0, 1.0]))
+    table = "\n".join(play.report({("none", spec): made for spec in args.attacks}, "none", replace(args, policies=())))
+    row = next(line for line in table.splitlines() if line.startswith("| noise |"))
+    loss, excluded, verifications = row.strip("| ").split(" | ")[1:]
+    assert loss == format(share_interval(damage), ".3f") and loss.endswith("]") and "-" not in row
+    assert excluded == "1.00 [0.29, 1.00]" and verifications.startswith("1.33 [0.00, ")
 
 
 def test_the_programs_film(args: Args) -> None:

@@ -11,9 +11,12 @@ from pathlib import Path
 import pytest
 import tyro
 
-from agents.commands import train_sweep
+from agents.commands import train_attack, train_sweep, train_tune
 from agents.commands.train import COMMANDS, main
+from agents.learning.hyperparameters import write_hyperparameters
 from agents.learning.training import Recipe
+from agents.learning.tuning import Trial
+from cp_env.settings import REWARDS
 
 ROOT = Path(__file__).parents[3]
 
@@ -43,12 +46,12 @@ def test_a_detector_is_trained_without_stable_baselines() -> None:
     """The others say which extra they need."""
     code = (
         "import sys\nsys.modules['stable_baselines3'] = None\nfrom agents.commands.train import main\n"
-        "for kind in ('detector', 'attack', 'sweep'):\n"
+        "for kind in ('detector', 'attack', 'sweep', 'tune'):\n"
         "    try:\n        main([kind, '--help'])\n    except SystemExit as stop:\n        print(kind, stop.code)\n"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
     assert "detector 0" in done.stdout, done.stderr
-    assert done.stdout.count("an extra: pip install 'cp-env[agents]'") == 2
+    assert done.stdout.count("an extra: pip install 'cp-env[agents]'") == 3
 
 
 @pytest.mark.parametrize("kind", COMMANDS)
@@ -57,6 +60,7 @@ def test_every_kind_takes_scenes_and_a_detector_of_your_own(kind: str) -> None:
         "attack": ["--scenes", "mine:Folder", "--detector", "mine:Toy"],
         "detector": ["--scenes", "mine:Folder", "--init", "mean"],
         "sweep": ["--recipe.scenes", "mine:Folder", "--recipe.detector", "mine:Toy"],
+        "tune": ["--recipe.scenes", "mine:Folder", "--recipe.detector", "mine:Toy"],
     }
     args = tyro.cli(import_module(COMMANDS[kind]).Args, args=words[kind])
     found = args if kind == "detector" else args.recipe
@@ -91,3 +95,46 @@ def test_a_sweep_encodes_under_its_own_detector_and_writes_its_table(
     assert {words[2:] for words in opened} == {("mine:Toy", "max")} and len(opened) == 2
     assert "| prbi | shared (kept) | 2 |" in table and kept == [tmp_path / "strongest" / "prbi.safetensors"]
     assert json.loads((tmp_path / "sweep.json").read_text())
+
+
+def test_the_help_names_every_reward(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match="0"):
+        main(["attack", "--help"])
+    assert f"{{{','.join(REWARDS)}}}" in "".join(capsys.readouterr().out.split())
+
+
+def test_hyperparameters_of_a_file_take_the_place_of_the_defaults(tmp_path: Path) -> None:
+    path = tmp_path / "found.json"
+    write_hyperparameters(path, {"gamma": 0.8, "n_steps": 16}, {})
+    args = train_attack.Args(recipe=Recipe(seed=3, gamma=0.8), hyperparameters=path)
+    assert args.settled() == Recipe(seed=3, gamma=0.8, n_steps=16)
+    assert train_attack.Args(recipe=Recipe(seed=3)).settled() == Recipe(seed=3)
+    with pytest.raises(SystemExit, match=r"cp-train attack: gamma is 0.7 here and 0.8 in .*found.json; give it once"):
+        main(["attack", "--gamma", "0.7", "--hyperparameters", str(path), "--out", str(tmp_path / "run")])
+    with pytest.raises(SystemExit, match=r"cp-train attack: no hyperparameters at .*the file is missing"):
+        main(["attack", "--hyperparameters", str(tmp_path / "none.json"), "--out", str(tmp_path / "run")])
+    assert not (tmp_path / "run").exists()
+
+
+def test_tuning_says_its_plan_and_what_was_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The search itself is in tests/agents/learning/test_tuning.py."""
+    trials = [Trial(0, {"gamma": 0.9}, (0.25, 0.35)), Trial(1, {"gamma": 0.8}, (0.5, 0.7)), Trial(2, {}, (), "why")]
+    asked: list[tuple[object, ...]] = []
+
+    def tune(base: Recipe, folder: Path, *, trials: int, seeds: tuple[int, ...], seed: int) -> list[Trial]:
+        asked.append((base.defender, folder, trials, tuple(seeds), seed))
+        folder.mkdir()
+        return found
+
+    found = trials
+    monkeypatch.setattr(train_tune, "tune", tune)
+    out = tmp_path / "tune"
+    main(["tune", "--trials", "3", "--seeds", "0", "4", "--recipe.defender", "robosac", "--out", str(out)])
+    said = capsys.readouterr()
+    assert asked == [("robosac", out, 3, (0, 4), 0)]
+    assert "plan: 3 trials of 2 policies, 12288 frames in all, compared on 6 scenes of town/calibration" in said.err
+    assert "0.600 in trial 1, 0.300 with the recipe's own values; the best of 3 is biased upwards" in said.out
+    written = json.loads((out / "trials.json").read_text())
+    assert [trial["reason"] for trial in written["trials"]] == ["", "", "why"] and "cp-train tune" in written["command"]

@@ -38,7 +38,7 @@ SMALL = {
     "cp-benchmark": "--vehicles 3 --frames 2 --ks 1 --attacks none noise",
     "cp-arena": "--vehicles 3 --frames 2 --ks 1 --attacks none noise --workers 1 --no-videos",
     "cp-train attack": "--n-scenes 1 --n-holdout 1 --n-vehicles 3 --n-attackers 1 --max-frames 2 --worlds 1 "
-    "--frames 2 --every 1",
+    "--frames 2 --every 1 --n-steps 2 --batch-size 2 --n-epochs 1",
     "cp-play": "--n-scenes 1 --vehicles 3 --k 1 --frames 2 --attacks noise",
 }
 """Options that make each command small; they come last, and the last one counts."""
@@ -60,9 +60,6 @@ def test_from_data_to_a_table(data: Path, monkeypatch: pytest.MonkeyPatch, capsy
     """In order, each from what the ones before have written; no defender rests on other weights at the end."""
     monkeypatch.chdir(data)
     monkeypatch.setenv("CP_ENV_CALIBRATION", str(data / "calibrations"))
-    monkeypatch.setattr(
-        "agents.learning.ppo.PPO_OPTIONS", {**_ppo_options(), "n_steps": 2, "batch_size": 2, "n_epochs": 1}
-    )
     monkeypatch.delitem(sys.modules, "mine", raising=False)
     threads, given = torch.get_num_threads(), set()
     for words in commands(PAGE):
@@ -88,9 +85,3 @@ def test_from_data_to_a_table(data: Path, monkeypatch: pytest.MonkeyPatch, capsy
     assert "bayes" in json.dumps(results) and Path("out/arena/arena.html").exists()
     assert "Against bayes" in Path("runs/play/attacks.md").read_text()
     assert "the policy: runs/attack/policy.safetensors" in capsys.readouterr().out
-
-
-def _ppo_options() -> dict[str, object]:
-    from agents.learning.ppo import PPO_OPTIONS
-
-    return PPO_OPTIONS

@@ -12,13 +12,23 @@ from agents.learning import training
 from agents.learning.callbacks import read_curve
 from agents.learning.policy import load_policy
 from agents.learning.rollout import play
-from agents.learning.sweep import TrainingRun, keep, plan_sweep, slug, strongest, summarise, sweep, write_table
+from agents.learning.sweep import Line, TrainingRun, keep, plan_sweep, slug, strongest, summarise, sweep, write_table
 from agents.learning.training import Recipe, train
 from cp_env.evaluation import Conditions
 from cp_env.world.scene_cache import SceneBank
 from tests.agents.conftest import FRAMES
 
-SMALL = Recipe(frames=12, worlds=2, every=1, max_frames=FRAMES, n_scenes=2, n_holdout=2)
+SMALL = Recipe(
+    frames=12,
+    worlds=2,
+    every=1,
+    max_frames=FRAMES,
+    n_scenes=2,
+    n_holdout=2,
+    n_steps=FRAMES,
+    batch_size=6,
+    n_epochs=2,
+)
 
 
 class Killed(Exception):
@@ -29,9 +39,6 @@ class Killed(Exception):
 def toy(bank: SceneBank, monkeypatch: pytest.MonkeyPatch) -> None:
     """Segments of six frames on the toy crossings."""
     monkeypatch.setattr(training, "open_bank", lambda *_: bank)
-    monkeypatch.setitem(training.PPO_OPTIONS, "n_steps", FRAMES)
-    monkeypatch.setitem(training.PPO_OPTIONS, "batch_size", 6)
-    monkeypatch.setitem(training.PPO_OPTIONS, "n_epochs", 2)
 
 
 def conditions(bank: SceneBank) -> Conditions:
@@ -116,6 +123,12 @@ def test_a_sweep_killed_and_resumed_gives_the_same_table(tmp_path: Path) -> None
         assert run.best["damage"] == max(mine)
         policy = load_policy(tmp_path / "strongest" / f"{slug(defender)}.safetensors")
         assert policy.notes["holdout_damage"] == max(mine) and policy.joint == run.recipe.joint
+
+
+def test_a_line_of_the_table_has_intervals_that_stay_in_their_range() -> None:
+    """Student's would be 0.950 [0.315, 1.585]; for none of two it is Clopper and Pearson's."""
+    line = Line("prbi", "shared", (0, 1), (0.9, 1.0), (0.0, 0.0), True)
+    assert line.row() == "| prbi | shared (kept) | 2 | 0.950 [0.144, 0.999] | 1.000 | 0.00 [0.00, 0.84] |"
 
 
 @pytest.mark.parametrize(
