@@ -14,8 +14,10 @@ One number is simulated for each world: how far the ego has come on its recorded
 
 A collision is a rear-end one: an overlap with a true vehicle whose centre is ahead of the ego's, and that heads in the
 same direction (within 60°) or stands. It ends the drive. A replayed vehicle cannot brake, so one that drives into the
-ego from behind passes through it, and is left out from then on. Conflicts with crossing and oncoming vehicles do not
-count either: which of the two yields is not in a recording. None of this needs a simulator.
+ego from behind passes through it, and is left out from then on. So is one that begins to exist where the ego is: it
+entered the recorded streets there, or came out of a jam, because the recorded ego was elsewhere. Conflicts with
+crossing and oncoming vehicles do not count either: which of the two yields is not in a recording. None of this needs a
+simulator.
 """
 
 from __future__ import annotations
@@ -24,7 +26,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from cp_env.driving.idm import CITY, DriverModel
 from cp_env.driving.road import STANDING, Road
@@ -68,6 +70,18 @@ class Moment:
     gap: Float[np.ndarray, " E"]  # to the nearest true vehicle ahead that drives the same way or stands; m
 
 
+@dataclass(frozen=True, eq=False)
+class Contacts:
+    """The vehicles that an ego touches in one frame."""
+
+    rows: Int[np.ndarray, " K"]  # of the scene
+    ahead: Bool[np.ndarray, " K"]  # whether the centre is ahead of the ego's
+    same_way: Bool[np.ndarray, " K"]  # whether it drives in the ego's direction, or stands
+    appeared: Bool[np.ndarray, " K"]  # whether it was absent in the frame before
+    moving: Float[np.ndarray, "K 2"]  # velocity; m/s
+    heading: Float[np.ndarray, " 2"]  # of the ego; a unit vector
+
+
 class PseudoClosedLoop:
     """E drives at once, each on the recorded path of its scene's ego.
 
@@ -105,6 +119,7 @@ class PseudoClosedLoop:
         self.along = self.along + np.where(self._running, (self.speed + faster) / 2 * dt, 0.0)
         self.speed = np.where(self._running, faster, self.speed)
         self._frame += 1
+        self._move_others()
         for e in np.flatnonzero(self._running):
             self._check_collision(int(e))
 
@@ -129,6 +144,9 @@ class PseudoClosedLoop:
     def place(self, world: int) -> Float[np.ndarray, " 3"]:
         """Where the simulated ego is: x, y, heading in the world frame; m, rad."""
         return self._roads[world].path.place(float(self.along[world]))
+
+    def _move_others(self) -> None:
+        """Bring the traffic to the next frame; here it replays."""
 
     def _series(self, name: str) -> Float[np.ndarray, "F E"]:
         rows = [getattr(moment, name) for moment in self.history]
@@ -158,7 +176,7 @@ class PseudoClosedLoop:
     def _velocities(self, road: Road, boxes: Float[np.ndarray, "B 5"]) -> Float[np.ndarray, "B 2"]:
         """Of each box in the world: the true vehicle's within 2 m, or the ghost's own since the last frame; m/s.
 
-        NaN for the box of a vehicle that came through the ego.
+        NaN for the box of a vehicle that is left out.
         """
         frame = self._now(road)
         place = road.scene.pose[frame, :, :2]
@@ -166,7 +184,7 @@ class PseudoClosedLoop:
         distance = np.linalg.norm(boxes[:, None, :2] - np.nan_to_num(place, nan=np.inf), axis=-1)
         true = distance.min(axis=1, initial=np.inf) <= CLOSE
         velocity[true] = velocities(road.scene, frame)[distance[true].argmin(axis=1)]
-        velocity[np.isin(distance.argmin(axis=1), list(road.behind)) & true] = np.nan
+        velocity[np.isin(distance.argmin(axis=1), list(road.left_out)) & true] = np.nan
         road.ghosts = boxes[~true, :2]
         if len(road.ghosts) and len(last):
             step = road.ghosts[:, None] - last
@@ -192,7 +210,8 @@ class PseudoClosedLoop:
             self._nearest_ttc[e] = min(self._nearest_ttc[e], float((gaps[ahead] / closing[ahead]).min()))
         return float(gaps.min(initial=np.inf))
 
-    def _check_collision(self, e: int) -> None:
+    def _contacts(self, e: int) -> Contacts:
+        """The vehicles that the ego touches now."""
         road, place = self._roads[e], self.place(e)
         frame = self._now(road)
         rows = road.rows(frame)
@@ -201,11 +220,17 @@ class PseudoClosedLoop:
         touched = pairwise_iou(ego, boxes)[0] > 0
         ahead = (boxes[:, :2] - place[:2]) @ heading > 0
         moving = velocities(road.scene, frame)[rows]
-        hit = touched & ahead & _same_way(boxes, moving, float(place[2]))
-        road.behind |= set(rows[touched & ~ahead].tolist())
+        same_way = _same_way(boxes, moving, float(place[2]))
+        appeared = np.isnan(road.scene.pose[frame - 1, rows, 0])
+        return Contacts(rows[touched], ahead[touched], same_way[touched], appeared[touched], moving[touched], heading)
+
+    def _check_collision(self, e: int) -> None:
+        road, touched = self._roads[e], self._contacts(e)
+        hit = touched.ahead & touched.same_way & ~touched.appeared
+        road.left_out |= set(touched.rows[~touched.ahead | touched.appeared].tolist())
         if hit.any():
             self._collided[e] = True
-            self._impact[e] = max(float(self.speed[e]) - float((moving[hit] @ heading).min()), 0.0)
+            self._impact[e] = max(float(self.speed[e]) - float((touched.moving[hit] @ touched.heading).min()), 0.0)
             self._nearest_ttc[e], self.speed[e] = 0.0, 0.0
 
 

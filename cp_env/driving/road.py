@@ -43,7 +43,7 @@ class Road:
     desired: float  # speed on a free road; m/s
     waits: list[Wait]
     ghosts: Float[np.ndarray, "G 2"]  # boxes of the last frame that were no vehicle's; m
-    behind: set[int] = field(default_factory=set)  # rows of vehicles that have driven through the ego from behind
+    left_out: set[int] = field(default_factory=set)  # rows of vehicles that came through the ego, or appeared on it
 
     @classmethod
     def of(cls, scene: Scene, start: int) -> Road:
@@ -64,9 +64,9 @@ class Road:
         return float(self.scene.size[self.ego, 0]) / 2
 
     def rows(self, frame: int) -> Int[np.ndarray, " L"]:
-        """The vehicles of a frame of the scene that matter: not the ego, nor those that came through it."""
+        """The vehicles of a frame of the scene that matter: not the ego, nor those that are left out."""
         there = np.isfinite(self.scene.pose[frame, :, 0])
-        there[[self.ego, *self.behind]] = False
+        there[[self.ego, *self.left_out]] = False
         return np.flatnonzero(there)
 
     def boxes(self, frame: int, rows: Int[np.ndarray, " L"]) -> Float[np.ndarray, "L 5"]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 import zlib
-from dataclasses import replace
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
@@ -44,6 +44,26 @@ def record(name: str, regime: Regime, pace: Pace, seed: int) -> Scene:
     raise RuntimeError(f"scene {name!r}: no window with enough vehicles in radio range in {TRIES} networks")
 
 
+@dataclass(frozen=True, eq=False)
+class Furnished:
+    """A scene, and how it lies in the network that it was taken from."""
+
+    scene: Scene
+    n_moving: int  # the first rows are vehicles of the simulation, the others are parked
+    angle: float  # the world is turned by so much; rad
+    origin: Float[np.ndarray, " 2"]  # of the world in the network's frame; m
+
+    def to_world(self, pose: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
+        """Poses of the network's frame in the scene's world frame; m, rad."""
+        return _moved(pose, self.angle, self.origin)
+
+    def to_network(self, pose: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
+        """The other way round."""
+        back = _moved(pose, -self.angle, np.zeros(2))
+        back[..., :2] += self.origin
+        return back
+
+
 def build_scene(
     name: str,
     kind: str,
@@ -53,10 +73,29 @@ def build_scene(
     rng: np.random.Generator,
     buildings: Float[np.ndarray, "B 6"] | None = None,
 ) -> Scene | None:
+    """The scene of `furnish_scene` alone."""
+    built = furnish_scene(name, kind, town, tracks, selected, rng, buildings)
+    return None if built is None else built.scene
+
+
+def furnish_scene(
+    name: str,
+    kind: str,
+    town: Streets,
+    tracks: traffic.Tracks,
+    selected: selection.VehicleSelection,
+    rng: np.random.Generator,
+    buildings: Float[np.ndarray, "B 6"] | None = None,
+) -> Furnished | None:
     """Furnish the streets round one selection; None if SUMO drove two of the connected through each other.
 
     Args:
+        name: of the scene.
         kind: "urban", "suburban" or "intersection": what stands along the streets.
+        town: the streets.
+        tracks: everyone who drives.
+        selected: the window and the connected vehicles.
+        rng: draws what stands along the streets, and how the world is turned.
         buildings: boxes that stand there instead of houses.
     """
     pose = tracks.pose[selected.start : selected.start + selection.FRAMES].copy()
@@ -68,17 +107,21 @@ def build_scene(
     pose, size = pose[:, kept], tracks.size[kept]
     still = roadside.furnish(town, kind, path, _swept(pose, size), rng, REACH, buildings)
     parked = np.repeat(still.pose[None], len(pose), axis=0)
+    rsu = roadside.place_rsu(town, still, path, rng) if len(town.junctions) else None
+    angle, origin = rng.uniform(-np.pi, np.pi), path.mean(axis=0)
+    if rsu is not None:
+        rsu = np.concatenate([_turn(angle) @ (rsu[:2] - origin), rsu[2:]])
     scene = Scene(
         name=name,
         kind=kind,
         dt=traffic.DT,
-        pose=np.concatenate([pose, parked], axis=1),
+        pose=_moved(np.concatenate([pose, parked], axis=1), angle, origin),
         size=np.concatenate([size, still.size]),
         connected=np.searchsorted(kept, selected.connected),
-        rsu=roadside.place_rsu(town, still, path, rng) if len(town.junctions) else None,
-        obstacles=still.obstacles,
+        rsu=rsu,
+        obstacles=_moved(still.obstacles, angle, origin),
     )
-    return _moved(scene, angle=rng.uniform(-np.pi, np.pi), origin=path.mean(axis=0))
+    return Furnished(scene, len(kept), angle, origin)
 
 
 def _peaceful(
@@ -114,13 +157,11 @@ def _swept(pose: Float[np.ndarray, "T M 3"], size: Float[np.ndarray, "M 3"]) -> 
     return np.concatenate(hulls)
 
 
-def _moved(scene: Scene, angle: float, origin: Float[np.ndarray, " 2"]) -> Scene:
-    """The scene turned by `angle` about `origin`, which becomes (0, 0)."""
-    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+def _turn(angle: float) -> Float[np.ndarray, "2 2"]:
+    return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
 
-    def moved(rows: Float[np.ndarray, "*n d"]) -> Float[np.ndarray, "*n d"]:
-        place, yaw, rest = rows[..., :2], rows[..., 2:3], rows[..., 3:]
-        return np.concatenate([(place - origin) @ turn.T, wrap(yaw + angle), rest], axis=-1)
 
-    rsu = None if scene.rsu is None else np.concatenate([turn @ (scene.rsu[:2] - origin), scene.rsu[2:]])
-    return replace(scene, pose=moved(scene.pose), rsu=rsu, obstacles=moved(scene.obstacles))
+def _moved(rows: Float[np.ndarray, "*n d"], angle: float, origin: Float[np.ndarray, " 2"]) -> Float[np.ndarray, "*n d"]:
+    """Rows that begin with x, y, yaw, turned by `angle` about `origin`, which becomes (0, 0)."""
+    place, yaw, rest = rows[..., :2], rows[..., 2:3], rows[..., 3:]
+    return np.concatenate([(place - origin) @ _turn(angle).T, wrap(yaw + angle), rest], axis=-1)

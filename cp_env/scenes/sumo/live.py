@@ -15,9 +15,9 @@ import hashlib
 import re
 import tempfile
 from collections import OrderedDict
-from collections.abc import Generator, Sequence
-from contextlib import closing
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, closing, contextmanager
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -51,6 +51,21 @@ PLACES = 3  # tried in each stretch of traffic
 CROWD = 400  # vehicles: where more would drive through a bare network, they do so only round one place
 _KEPT = 8  # scenes in memory
 _BLOCK = 2**20  # bytes of a file read at a time
+
+
+Found = tuple[build.Furnished, int, tuple[str, ...]]
+"""What stands first in a `Draft`."""
+
+
+@dataclass(frozen=True, eq=False)
+class Draft:
+    """A scene and the simulation that it was taken from, which can be run again while its files are there."""
+
+    built: build.Furnished
+    start: int  # first frame of the scene, counted from the beginning of its stretch
+    connected: tuple[str, ...]  # SUMO's names, the ego first
+    simulation: traffic.Simulation
+    stretch: int  # number of the stretch that it lies in
 
 
 class LiveSumo:
@@ -164,10 +179,7 @@ class LiveSumo:
             ValueError: no name of a scene, SUMO refuses, nothing drives, or there is no place with enough connected
                 vehicles.
         """
-        found = re.fullmatch(re.escape(self._stem) + r"-(\d{6,})", name)
-        if not found:
-            raise ValueError(f"unknown scene {name!r}; those of {self.name} are called {self._stem}- and six digits")
-        number = int(found[1])
+        number = self._number(name)
         if number not in self._scenes:
             self._scenes[number] = self._make(name, number)
         self._scenes.move_to_end(number)
@@ -204,21 +216,46 @@ class LiveSumo:
         return None if self._polygons is None else config.buildings(self._polygons)
 
     def _make(self, name: str, number: int) -> Scene:
+        with self._drafted(name, number) as draft:
+            return draft.built.scene
+
+    def draft(self, name: str) -> AbstractContextManager[Draft]:
+        """How the scene of that name was made, while the files of its simulation are there.
+
+        Raises:
+            ValueError: as of `load`.
+        """
+        return self._drafted(name, self._number(name))
+
+    def _number(self, name: str) -> int:
+        found = re.fullmatch(re.escape(self._stem) + r"-(\d{6,})", name)
+        if not found:
+            raise ValueError(f"unknown scene {name!r}; those of {self.name} are called {self._stem}- and six digits")
+        return int(found[1])
+
+    @contextmanager
+    def _drafted(self, name: str, number: int) -> Iterator[Draft]:
         crowd, drove = 0, set[str]()
         for attempt in range(TRIES):
             rng = np.random.default_rng([self._seed, number, attempt])
             ways: tuple[selection.Standing, ...] = ("never",) if attempt < STRICT else ("never", "last")
-            with (
-                tempfile.TemporaryDirectory() as folder,
-                closing(self._drive(Path(folder), rng)) as stretches,
-            ):
-                for town, tracks in stretches:
-                    crowd = max(crowd, int(np.isfinite(tracks.pose[..., 0]).sum(axis=1).max()))
-                    drove |= tracks.left_out
-                    for standing in ways:
-                        scene = self._place(name, town, tracks, rng, standing)
-                        if scene is not None:
-                            return scene
+            with tempfile.TemporaryDirectory() as folder:
+                draft = None
+                town, simulation = self._simulation(Path(folder), rng)
+                with closing(simulation.stretches()) as stretches:
+                    for stretch, tracks in enumerate(stretches):
+                        crowd = max(crowd, int(np.isfinite(tracks.pose[..., 0]).sum(axis=1).max()))
+                        drove |= tracks.left_out
+                        for standing in ways:
+                            found = self._place(name, town, tracks, rng, standing)
+                            if found is not None:
+                                draft = Draft(*found, simulation, stretch)
+                                break
+                        if draft is not None:
+                            break
+                if draft is not None:
+                    yield draft
+                    return
             if crowd < self._least and attempt + 1 >= EMPTY:
                 raise ValueError(f"scene {name!r}: {self._too_few(crowd, drove)}")
         raise ValueError(
@@ -244,13 +281,12 @@ class LiveSumo:
             f"{best.begin:g} s: take {other}a higher density, or fewer vehicles"
         )
 
-    def _drive(self, folder: Path, rng: np.random.Generator) -> Generator[tuple[Streets, Tracks], None, None]:
-        """Streets and the traffic on them, one stretch of it after another."""
+    def _simulation(self, folder: Path, rng: np.random.Generator) -> tuple[Streets, traffic.Simulation]:
+        """Streets and the traffic on them, drawn; its files are in `folder`."""
         if self._drawn:
             town = build_streets(*draw_streets(self._drawn, rng), folder)
             crowd = round(self._density * int(rng.integers(*REGIMES[self._drawn].crowd)))
-            yield town, traffic.drive(town, folder, rng, crowd=crowd, warm_up=self._warm_up, seconds=SECONDS)
-            return
+            return town, traffic.prepare(town, folder, rng, crowd=crowd, warm_up=self._warm_up, seconds=SECONDS)
         assert self._files is not None
         network, most = self._network, SECONDS
         command = ["--seed", str(int(rng.integers(1 << 30)))]
@@ -268,29 +304,28 @@ class LiveSumo:
             config.write_demand(routes, network, sizes, rng, crowd, self._warm_up + SECONDS)
             command += ["-n", str(network.net), "-r", str(routes), "--max-num-vehicles", str(crowd)]
         warm_up = self._warm_up + rng.uniform(0, 30)
-        with closing(traffic.stretches(command, warm_up=warm_up, seconds=SECONDS, most=most, jump=JUMP)) as stretches:
-            for tracks in stretches:
-                yield network, tracks
+        return network, traffic.Simulation(
+            command=tuple(command), warm_up=warm_up, seconds=SECONDS, most=most, jump=JUMP
+        )
 
     def _crowd(self, network: Streets) -> int:
         return max(self._least, round(self._density * config.PER_KM * config.lane_kilometres(network)))
 
     def _place(
         self, name: str, town: Streets, tracks: Tracks, rng: np.random.Generator, standing: selection.Standing
-    ) -> Scene | None:
+    ) -> Found | None:
         """A scene somewhere in this stretch of traffic, if enough vehicles with a radio meet."""
         radio = rng.random(len(tracks.size)) < self._share
         if self._drawn:
             return self._build_scene(name, town, tracks, np.flatnonzero(radio), rng, standing)
-        listening = Tracks(tracks.pose[:, radio], tracks.size[radio])
+        listening = tracks.of(radio)
         spots = meetings(listening, self._least, moving=standing == "never")
         spots = spots[np.linalg.norm(spots[:, :2] - town.centre, axis=1) <= town.radius]
         for spot in spots[rng.permutation(len(spots))[:PLACES]]:
             around, near = focus(town, tracks, spot)
-            closer = Tracks(tracks.pose[:, near], tracks.size[near])
-            scene = self._build_scene(name, around, closer, np.flatnonzero(radio[near]), rng, standing)
-            if scene is not None:
-                return scene
+            found = self._build_scene(name, around, tracks.of(near), np.flatnonzero(radio[near]), rng, standing)
+            if found is not None:
+                return found
         return None
 
     def _build_scene(
@@ -301,13 +336,13 @@ class LiveSumo:
         radios: Int[np.ndarray, " R"],
         rng: np.random.Generator,
         standing: selection.Standing,
-    ) -> Scene | None:
-        listening = Tracks(tracks.pose[:, radios], tracks.size[radios])
+    ) -> Found | None:
         kind = self._drawn or self._furnish
         buildings = np.zeros((0, 6)) if self._buildings is None and kind == "none" else self._buildings
-        for selected in selection.candidates(listening, town, rng, SELECTIONS, least=self._least, standing=standing):
+        found = selection.candidates(tracks.of(radios), town, rng, SELECTIONS, least=self._least, standing=standing)
+        for selected in found:
             chosen = replace(selected, connected=radios[selected.connected])
-            scene = build.build_scene(name, kind, town, tracks, chosen, rng, buildings)
-            if scene is not None:
-                return scene
+            built = build.furnish_scene(name, kind, town, tracks, chosen, rng, buildings)
+            if built is not None:
+                return built, chosen.start, tracks.of(chosen.connected).names
         return None

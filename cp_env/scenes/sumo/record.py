@@ -11,12 +11,14 @@ one is drawn.
 from __future__ import annotations
 
 import json
+import sys
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Literal
 
+from cp_env.progress import say, track
 from cp_env.scenes.formats import recording
 from cp_env.scenes.sumo.regimes import REGIMES, Pace, pace_of
 from cp_env.scenes.town import FAMILIES, INDEX, SPLITS
@@ -71,8 +73,6 @@ def _record(out: Path, name: str, pace: Pace, seed: int) -> None:
 
 def main(args: Args) -> None:
     """Record what is missing in `args.out`, or describe what is there."""
-    from tqdm import tqdm
-
     from cp_env.evaluation.execution.processes import end_with_parent
     from cp_env.scenes.preview.statistics import table
 
@@ -80,7 +80,7 @@ def main(args: Args) -> None:
     out = family.folder if args.out is None else args.out
     if args.describe:
         for split in SPLITS:
-            tqdm.write(table(family(split, out)) + "\n")
+            say(table(family(split, out)) + "\n", sys.stdout)
         return
     out.mkdir(parents=True, exist_ok=True)
     train, calibration, test = (
@@ -92,7 +92,7 @@ def main(args: Args) -> None:
     missing = [(name, pace) for name, pace in wanted if not _path(out, name).exists()]
     with ProcessPoolExecutor(args.jobs, mp_context=get_context("spawn"), initializer=end_with_parent) as pool:
         jobs = [pool.submit(_record, out, name, pace, args.seed) for name, pace in missing]
-        for job in tqdm(as_completed(jobs), total=len(jobs), desc="scenes", unit="scene"):
+        for job in track(as_completed(jobs), "scenes", len(jobs), "scene"):
             job.result()
     (out / INDEX).write_text(json.dumps(names, indent=1) + "\n")
 

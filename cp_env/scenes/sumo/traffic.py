@@ -7,15 +7,15 @@ from __future__ import annotations
 
 import threading
 import xml.etree.ElementTree as ET
-from collections.abc import Generator
-from contextlib import closing
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 
 from cp_env.scenes.sumo.network import NEEDS_SUMO, NO_CARS, Streets
 from cp_env.scenes.sumo.vehicle_sizes import draw_sizes
@@ -31,6 +31,9 @@ _ALWAYS = [
 ]  # fmt: skip
 _ONE_AT_A_TIME = threading.Lock()
 
+Seen = dict[str, tuple[float, float, float, str]]
+"""x, y of the front bumper, SUMO's angle and the row of the sizes, of every vehicle in a frame."""
+
 
 @dataclass(frozen=True)
 class Tracks:
@@ -39,6 +42,28 @@ class Tracks:
     pose: Float[np.ndarray, "T V 3"]
     size: Float[np.ndarray, "V 3"]
     left_out: frozenset[str] = frozenset()  # SUMO's classes that drove too and are no cars
+    names: tuple[str, ...] = ()  # SUMO's, of each row; two rows have one name where SUMO moved a vehicle at once
+
+    def of(self, rows: Int[np.ndarray, " K"] | Bool[np.ndarray, " V"]) -> Tracks:
+        """Those of some of the vehicles."""
+        names = tuple(np.array(self.names, dtype=object)[rows].tolist()) if self.names else ()
+        return Tracks(self.pose[:, rows], self.size[rows], self.left_out, names)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Simulation:
+    """A run of SUMO that can be repeated: the same arguments give the same traffic."""
+
+    command: tuple[str, ...]  # arguments of `sumo`
+    warm_up: float  # s simulated before the first stretch
+    seconds: float  # s of each stretch
+    most: float  # s of all stretches; they end earlier where nothing drives or is to come
+    jump: float = JUMP  # a vehicle that moves farther in a frame, m, was moved by SUMO itself
+
+    def stretches(self) -> Generator[Tracks, None, None]:
+        """See the function of that name."""
+        options = {"warm_up": self.warm_up, "seconds": self.seconds, "most": self.most, "jump": self.jump}
+        return stretches(list(self.command), **options)
 
 
 def drive(
@@ -51,15 +76,23 @@ def drive(
     seconds: float = 90.0,
 ) -> Tracks:
     """Simulate `warm_up` + `seconds` s with at most `crowd` vehicles at once; the last `seconds` are kept."""
+    with closing(prepare(streets, folder, rng, crowd=crowd, warm_up=warm_up, seconds=seconds).stretches()) as found:
+        return next(found)
+
+
+def prepare(
+    streets: Streets, folder: Path, rng: np.random.Generator, *, crowd: int, warm_up: float, seconds: float
+) -> Simulation:
+    """The simulation of trips that are drawn now and written to `folder`, with one stretch."""
     _simulator()  # before anything is written
     sizes = draw_sizes(N_TYPES, rng, parked=False)
     routes = folder / "trips.rou.xml"
     _write_trips(routes, streets, sizes, rng, horizon=warm_up + seconds)
-    command = [
+    command = (
         "-n", str(streets.net), "-r", str(routes), "--seed", str(int(rng.integers(1 << 30))),
         "--max-num-vehicles", str(crowd), "--lanechange.duration", "3", "--default.speeddev", "0",
-    ]  # fmt: skip
-    return watch(command, warm_up=warm_up, seconds=seconds)
+    )  # fmt: skip
+    return Simulation(command=command, warm_up=warm_up, seconds=seconds, most=seconds)
 
 
 def watch(command: list[str], *, warm_up: float, seconds: float, jump: float = JUMP) -> Tracks:
@@ -90,21 +123,33 @@ def stretches(
         ImportError: SUMO is not installed.
         ValueError: SUMO refuses the command; the message says why, as far as SUMO does.
     """
+    with running(command) as sumo:
+        census = Census(sumo)
+        for _ in range(round(warm_up / DT)):
+            sumo.simulationStep()
+        for _ in range(round(most / seconds)):
+            frames = []
+            for _ in range(round(seconds / DT)):
+                sumo.simulationStep()
+                frames.append(census.frame())
+            yield replace(_tracks(frames, census.measures(), jump), left_out=frozenset(census.left_out))
+            if not sumo.simulation.getMinExpectedNumber():
+                return
+
+
+@contextmanager
+def running(command: Sequence[str]) -> Iterator[Any]:
+    """libsumo with a simulation at 5 Hz that ends with the context; one at a time in a process.
+
+    Raises:
+        ImportError: SUMO is not installed.
+        ValueError: SUMO refuses the command, or a call inside the context; the message says why, as far as SUMO does.
+    """
     sumo = _simulator()
-    census = _Census(sumo)
     with _ONE_AT_A_TIME:
         try:
             sumo.start(["sumo", *command, *_ALWAYS])
-            for _ in range(round(warm_up / DT)):
-                sumo.simulationStep()
-            for _ in range(round(most / seconds)):
-                frames = []
-                for _ in range(round(seconds / DT)):
-                    sumo.simulationStep()
-                    frames.append(census.frame())
-                yield replace(_tracks(frames, census.measures(), jump), left_out=frozenset(census.left_out))
-                if not sumo.simulation.getMinExpectedNumber():
-                    return
+            yield sumo
         except (sumo.TraCIException, sumo.FatalTraCIError) as error:
             raise ValueError(
                 f"SUMO refused `sumo {' '.join(command)}`: {error} (more stands on the standard error stream)"
@@ -113,7 +158,7 @@ def stretches(
             sumo.close()
 
 
-class _Census:
+class Census:
     """The road vehicles of a simulation, step by step."""
 
     def __init__(self, sumo: Any) -> None:
@@ -126,7 +171,7 @@ class _Census:
         """Length, width, height of the types met."""
         return np.array(self._sizes).reshape(-1, 3)
 
-    def frame(self) -> dict[str, tuple[float, float, float, str]]:
+    def frame(self) -> Seen:
         """x, y of the front bumper, angle and type of everyone who drives now."""
         sumo, frame = self._sumo, {}
         for name in sumo.vehicle.getIDList():
@@ -172,35 +217,54 @@ def write_types(root: ET.Element, sizes: Float[np.ndarray, "K 3"], rng: np.rando
         )  # fmt: skip
 
 
-def _tracks(
-    frames: list[dict[str, tuple[float, float, float, str]]], sizes: Float[np.ndarray, "K 3"], jump: float = JUMP
-) -> Tracks:
-    """The box of every vehicle, its rear axle drawn behind its front bumper as on a real road.
+class BoxTracker:
+    """The box of every vehicle from frame to frame, its rear axle drawn behind its front bumper as on a real road.
 
     SUMO turns a vehicle by its lane, which jumps between lanes and at junctions; a rear axle that follows does not.
     A vehicle that SUMO moved elsewhere at once (a "teleport" out of a jam) goes on as another one.
+
+    Args:
+        jump: a vehicle that moves farther in a frame, m, was moved by SUMO.
     """
-    rows: dict[str, int] = {}
-    pose = np.full((len(frames), len({name for frame in frames for name in frame}), 3), np.nan)
-    kinds: list[int] = []
-    front: dict[str, tuple[float, float]] = {}
-    axle: dict[str, tuple[float, float]] = {}
-    for t, frame in enumerate(frames):
+
+    def __init__(self, jump: float = JUMP) -> None:
+        self.names: list[str] = []  # of each row
+        self.kinds: list[int] = []  # row of the sizes, of each row
+        self._jump = jump
+        self._rows: dict[str, int] = {}  # of those in the last frame
+        self._front: dict[str, tuple[float, float]] = {}
+        self._axle: dict[str, tuple[float, float]] = {}
+
+    def follow(self, frame: Seen, sizes: Float[np.ndarray, "K 3"]) -> dict[int, tuple[float, float, float]]:
+        """x, y, yaw of the box centres of the next frame, by row; new vehicles get new rows."""
+        rows, poses = {}, {}
         for name in sorted(frame):
             x, y, angle, kind = frame[name]
             length = sizes[int(kind), 0]
             yaw = np.pi / 2 - np.deg2rad(angle)
-            if name not in rows or t == 0 or name not in frames[t - 1] or _far(front[name], (x, y), jump):
-                rows[name] = len(kinds)
-                kinds.append(int(kind))
-                if len(kinds) > pose.shape[1]:
-                    pose = np.concatenate([pose, np.full_like(pose, np.nan)], axis=1)
+            if name not in self._rows or _far(self._front[name], (x, y), self._jump):
+                rows[name] = len(self.kinds)
+                self.kinds.append(int(kind))
+                self.names.append(name)
             else:
-                yaw = np.arctan2(y - axle[name][1], x - axle[name][0])
-            front[name] = x, y
-            axle[name] = x - AXLE * length * np.cos(yaw), y - AXLE * length * np.sin(yaw)
-            pose[t, rows[name]] = x - length / 2 * np.cos(yaw), y - length / 2 * np.sin(yaw), yaw
-    return Tracks(pose[:, : len(kinds)], sizes[kinds])
+                rows[name] = self._rows[name]
+                yaw = np.arctan2(y - self._axle[name][1], x - self._axle[name][0])
+            self._front[name] = x, y
+            self._axle[name] = x - AXLE * length * np.cos(yaw), y - AXLE * length * np.sin(yaw)
+            poses[rows[name]] = x - length / 2 * np.cos(yaw), y - length / 2 * np.sin(yaw), yaw
+        self._rows = rows
+        return poses
+
+
+def _tracks(frames: list[Seen], sizes: Float[np.ndarray, "K 3"], jump: float = JUMP) -> Tracks:
+    """The boxes of all vehicles in all frames; see `BoxTracker`."""
+    tracker = BoxTracker(jump)
+    poses = [tracker.follow(frame, sizes) for frame in frames]
+    pose = np.full((len(frames), len(tracker.kinds), 3), np.nan)
+    for row, here in zip(pose, poses, strict=True):
+        if here:
+            row[list(here)] = list(here.values())
+    return Tracks(pose, sizes[tracker.kinds], names=tuple(tracker.names))
 
 
 def _far(a: tuple[float, float], b: tuple[float, float], jump: float) -> bool:

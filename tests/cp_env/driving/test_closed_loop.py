@@ -110,6 +110,16 @@ def test_a_vehicle_that_drives_into_the_ego_from_behind_is_no_collision_and_no_l
     assert loop.along[0] > 36
 
 
+@pytest.mark.parametrize("absent", [0, 20])
+def test_a_vehicle_that_begins_to_exist_where_the_ego_is_is_no_collision(absent: int) -> None:
+    """A car stands at x = 34 m from frame `absent` on. After 20 frames of 1.6 m the ego, which is blind, is there."""
+    nowhere = (np.nan, np.nan, np.nan)
+    stands = [nowhere if frame < absent else (34.0, 0.0, 0.0) for frame in range(FRAMES)]
+    blind, loop = drive(road([driving(0, 0, 8, FRAMES), stands]), nothing)
+    assert blind.collided == (absent == 0)
+    assert (loop.along[0] > 80) == (absent > 0), "it drives on through what was not there"
+
+
 def test_crossing_traffic_is_no_collision() -> None:
     """It crosses the ego's path just when it comes."""
     scene = road([driving(0, 0, 8, FRAMES), driving(24, -24, 8, FRAMES, yaw=np.pi / 2)])

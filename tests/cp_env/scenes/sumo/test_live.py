@@ -141,7 +141,7 @@ def test_a_configuration_drives_its_own_demand(grid: Path, tmp_path: Path) -> No
     sparse = LiveSumo(tmp_path / "g.sumocfg", furnish="none", vehicles=2, warm_up=40.0, density=0.4)
     rng = np.random.default_rng(0)
     crowd = [
-        np.isfinite(next(one._drive(tmp_path, np.random.default_rng(rng.integers(9))))[1].pose[..., 0])
+        np.isfinite(next(one._simulation(tmp_path, np.random.default_rng(rng.integers(9)))[1].stretches()).pose[..., 0])
         .sum(axis=1)
         .mean()
         for one in (sparse, source)
@@ -240,8 +240,8 @@ def test_thin_traffic_drives_on_until_enough_meet(tmp_path: Path) -> None:
         f'<flow id="{k}" from="{a}" to="{b}" begin="0" end="3600" probability="0.03"/>' for k, (a, b) in enumerate(ends)
     )
     source = LiveSumo(configuration(net, flows, stem="thin"), furnish="none")
-    stretches = list(source._drive(tmp_path, np.random.default_rng(0)))
-    at_once = [np.isfinite(tracks.pose[..., 0]).sum(axis=1).mean() for _, tracks in stretches]
+    stretches = list(source._simulation(tmp_path, np.random.default_rng(0))[1].stretches())
+    at_once = [np.isfinite(tracks.pose[..., 0]).sum(axis=1).mean() for tracks in stretches]
     assert len(stretches) == 22 and max(at_once) < 20
     scene = source.load("thin-000000")
     assert scene.n_connected >= 5 and same(scene, LiveSumo(tmp_path / "thin.sumocfg", furnish="none").load(scene.name))
@@ -267,7 +267,7 @@ def test_trams_bicycles_and_people_are_left_out_and_buses_are_not(town: Path) ->
     flows = "".join(FLOWS.format(kind=kind, begin=0, end=60, period=3) for kind in ("car", "bike", "bus", "tram"))
     person = '<person id="p" depart="0"><walk from="A0A1" to="A1A2"/></person>'
     source = LiveSumo(configuration(town, types + flows + person), warm_up=0.0)
-    _, tracks = next(source._drive(town.parent, np.random.default_rng(0)))
+    tracks = next(source._simulation(town.parent, np.random.default_rng(0))[1].stretches())
     assert tracks.left_out == {"bicycle", "tram"}
     assert sorted(np.unique(tracks.size[:, 0])) == [5, 12], "SUMO's car and bus"
 
@@ -308,7 +308,7 @@ def test_bus_lanes_stops_detectors_and_polygons_as_in_bologna(tmp_path: Path) ->
     assert scene.n_connected >= 3 and any(np.allclose(box[3:5], 45) for box in scene.obstacles)
     lanes = [lane for lane in source._network.lanes if not lane.internal]
     assert {(lane.index, lane.cars) for lane in lanes} == {(0, False), (1, True)}
-    _, tracks = next(source._drive(tmp_path, np.random.default_rng(0)))
+    tracks = next(source._simulation(tmp_path, np.random.default_rng(0))[1].stretches())
     assert {4, 6, 12} >= set(np.unique(tracks.size[:, 0])) >= {4, 12}
 
 
