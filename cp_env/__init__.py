@@ -70,8 +70,8 @@ def parallel_env(
             that makes one.
         **options: what else is chosen. The defaults stand in `cp_env.settings`.
 
-            * `n_vehicles` (5): n, maps that are shared, the ego's included; no more than the scenes have connected
-              vehicles.
+            * `n_vehicles` (5): n, vehicles that share their maps, the ego included; no more than the scenes have
+              connected ones. At least 2, or 1 with `rsu`.
             * `n_attackers` (2): k, number of malicious vehicles, 0 < k < n. They are drawn anew at each reset. The ego
               may be one.
             * `attackers` (None): the malicious vehicles (distinct numbers, 0 is the ego). It fixes k too; nothing is

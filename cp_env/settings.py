@@ -112,8 +112,9 @@ class Settings:
     def __post_init__(self) -> None:
         for name, kind in _KINDS.items():
             object.__setattr__(self, name, checked_value(name, getattr(self, name), kind))
-        if self.n_vehicles < 2:
-            raise ValueError(f"n_vehicles must be at least 2 (an ego and a collaborator), not {self.n_vehicles}")
+        if self.n_vehicles < 2 - self.rsu:
+            unit = "1 with the road-side unit" if self.rsu else "an ego and a collaborator; 1 is enough with rsu=True"
+            raise ValueError(f"n_vehicles must be at least {2 - self.rsu} ({unit}), not {self.n_vehicles}")
         if self.n_vehicles > LARGEST_FLEET:
             raise ValueError(f"n_vehicles must be at most {LARGEST_FLEET}, not {shown(self.n_vehicles)}")
         if not 0 <= self.budget <= LARGEST_BUDGET:
@@ -137,9 +138,10 @@ class Settings:
         return cls(**options)
 
     def _check_count(self) -> None:
-        if not 0 <= self.n_attackers < self.n_vehicles:
+        if not 0 <= self.n_attackers < self.n_suspects:
+            unit = " and the road-side unit" if self.n_suspects > self.n_vehicles else ""
             raise ValueError(
-                f"n_attackers must satisfy 0 <= k < n: k = {self.n_attackers}, n_vehicles = {self.n_vehicles}; "
+                f"n_attackers must satisfy 0 <= k < n: k = {self.n_attackers}, n_vehicles = {self.n_vehicles}{unit}; "
                 "at least one vehicle must be benign"
             )
 
@@ -149,15 +151,20 @@ class Settings:
             raise ValueError(
                 f"attackers must be distinct numbers from 0 (the ego) to {self.n_maps - 1}, not {list(attackers)}"
             )
-        if len(attackers) >= self.n_vehicles:
+        if len(attackers) >= self.n_suspects:
             raise ValueError(
-                f"attackers must leave one vehicle benign: {len(attackers)} of {self.n_vehicles} are malicious"
+                f"attackers must leave one vehicle benign: {len(attackers)} of {self.n_suspects} are malicious"
             )
 
     @property
     def n_maps(self) -> int:
         """N: maps that can be fused, the road-side unit's included."""
         return self.n_vehicles + int(self.rsu)
+
+    @property
+    def n_suspects(self) -> int:
+        """The numbers below this one are drawn as attackers: the vehicles, and the road-side unit beside one alone."""
+        return max(self.n_vehicles, 2)
 
     @property
     def k(self) -> int:

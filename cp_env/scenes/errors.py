@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
-from tqdm import tqdm
+from cp_env.progress import say
 
 T = TypeVar("T")
 
@@ -62,7 +63,7 @@ def sift(
                     error.file, f"{error.reason} (scene {name}; mend it, or leave such scenes out with skip_broken)"
                 ) from error
             left_out.append(LeftOut(name, error.file, error.reason))
-            tqdm.write(str(left_out[-1]))
+            say(str(left_out[-1]), sys.stdout)
         else:
             kept.append(name)
     if left_out and not kept:

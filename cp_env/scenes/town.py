@@ -7,13 +7,13 @@ one crossing: what one of them sees, others see too.
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import ClassVar
 
 from cp_env.scenes.formats import recording
+from cp_env.scenes.formats.bounded import JSON_BYTES, parse_json, read_bytes
 from cp_env.types import Scene, Sweep
 
 SPLITS = ("train", "calibration", "test")
@@ -103,7 +103,7 @@ def _load(path: Path, name: str) -> Scene:
 
 def _index(path: Path, split: str) -> tuple[str, ...]:
     try:
-        return tuple(str(name) for name in json.loads(path.read_text())[split])
+        return tuple(str(name) for name in parse_json(read_bytes(path, JSON_BYTES))[split])
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise ValueError(
             f"index of recordings {path} is missing or broken ({error}); reinstall or record again"

@@ -77,7 +77,7 @@ def plan_episode(
         raise ValueError(f"start must be a frame of scene {scene!r}, 0 to {n_frames - 1}, not {shown(start)}")
     chosen: Sequence[int] = settings.attackers or ()
     if settings.attackers is None:
-        chosen = attacker_rng.choice(settings.n_vehicles, settings.k, replace=False).tolist()
+        chosen = attacker_rng.choice(settings.n_suspects, settings.k, replace=False).tolist()
     return EpisodePlan(
         stream=stream.next(),
         scene=scene,

@@ -17,11 +17,13 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float, Shaped
+from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
 
+from cp_env.detector.model.decoder import Dense
 from cp_env.detector.protocol import DetectorLike, UsesEgoSweep, maps_digest, with_ego_context
 from cp_env.geometry.planar import grid_origin
+from cp_env.metrics.certified import witnesses
 from cp_env.metrics.ground_truth import truth_boxes
 from cp_env.types import Endless, Scene, SceneSource
 from cp_env.world.cache_folder import encoded_folder
@@ -110,8 +112,9 @@ class SceneBank:
         clean = PerFrame(n_frames, partial(_clean, store, scene, agents, poses, coverage, context))
         ego, extent = int(scene.connected[0]), self.detector.extent
         truth = PerFrame(n_frames, lambda t: truth_boxes(scene, t, ego, extent))
+        found = PerFrame(n_frames, partial(_witnesses, store, scene, agents, poses, coverage, context, truth))
         store.touch(scene)
-        return Episode(scene, store, agents, poses, coverage, Clean(clean), truth, context)
+        return Episode(scene, store, agents, poses, coverage, Clean(clean), truth, context, found)
 
 
 def _key(source: SceneSource, detector: DetectorLike) -> str:
@@ -123,9 +126,13 @@ def _key(source: SceneSource, detector: DetectorLike) -> str:
 def _agents(scene: Scene, n_vehicles: int, rsu: bool) -> tuple[int, ...]:
     """Rows of a frame's sweeps: the first n connected vehicles, then the road-side unit."""
     if n_vehicles > scene.n_connected:
+        way = "lower n_vehicles or choose other scenes"
+        if scene.n_connected < 2:
+            unit = "take n_vehicles=1 with rsu=True, or " if scene.rsu is not None else ""
+            way = f"{unit}choose other scenes"
         raise ValueError(
             f"n_vehicles = {n_vehicles}, but scene {scene.name!r} holds only {scene.n_connected} connected "
-            "vehicles; lower n_vehicles or choose other scenes"
+            f"vehicle{'' if scene.n_connected == 1 else 's'}; {way}"
         )
     if rsu and scene.rsu is None:
         raise ValueError(f"scene {scene.name!r} has no road-side unit; use rsu=False or choose other scenes")
@@ -152,13 +159,46 @@ def _clean(
     t: int,
 ) -> CleanFrame:
     """The ego's output of frame t without an attack."""
-    context = None if ego_context is None else torch.from_numpy(ego_context[t][None])
-    detector, device = with_ego_context(store.detector, context), store.detector.device
-    maps = warp_frame(store.detector, store.maps(scene, agents, t), poses[t])[None]
-    first = torch.zeros(1, dtype=torch.long, device=device)
-    everyone = torch.ones(1, len(agents), dtype=torch.bool, device=device)
+    everyone = torch.ones(1, len(agents), dtype=torch.bool)
     with torch.inference_mode():
-        dense = detector.perceive(maps, coverage[t : t + 1].to(device), first, everyone)
+        dense = _perceived(store, scene, agents, poses, coverage, ego_context, t, everyone)
         (view,) = make_views(store.detector, dense, [frozenset(range(len(agents)))], [t], [ego_place(scene, t)])
     with torch.inference_mode(mode=False):  # whoever asks first, these are ordinary tensors
         return CleanFrame(dense.logits[0].half().cpu().clone(), dense.boxes[0].half().cpu().clone(), view)
+
+
+def _perceived(
+    store: MapStore,
+    scene: Scene,
+    agents: tuple[int, ...],
+    poses: Float[Tensor, "T N 3"],
+    coverage: Float[Tensor, "T N H W"],
+    ego_context: PerFrame[Shaped[np.ndarray, "..."]] | None,
+    t: int,
+    groups: Bool[Tensor, "B N"],
+) -> Dense:
+    """What the ego makes of groups of the unattacked maps of frame t."""
+    context = None if ego_context is None else torch.from_numpy(ego_context[t][None])
+    detector, device = with_ego_context(store.detector, context), store.detector.device
+    maps = warp_frame(store.detector, store.maps(scene, agents, t), poses[t])[None]
+    world = torch.zeros(len(groups), dtype=torch.long, device=device)
+    return detector.perceive(maps, coverage[t : t + 1].to(device), world, groups.to(device))
+
+
+def _witnesses(
+    store: MapStore,
+    scene: Scene,
+    agents: tuple[int, ...],
+    poses: Float[Tensor, "T N 3"],
+    coverage: Float[Tensor, "T N H W"],
+    ego_context: PerFrame[Shaped[np.ndarray, "..."]] | None,
+    truth: PerFrame[Float[np.ndarray, "_ 5"]],
+    t: int,
+) -> Int[np.ndarray, " L"]:
+    """How many single views find each vehicle of the truth in frame t; see `metrics.certified`."""
+    single = torch.eye(len(agents), dtype=torch.bool)
+    with torch.inference_mode():
+        dense = _perceived(store, scene, agents, poses, coverage, ego_context, t, single)
+        groups, times = [frozenset({i}) for i in range(len(agents))], [t] * len(agents)
+        views = make_views(store.detector, dense, groups, times, [ego_place(scene, t)] * len(agents))
+    return witnesses([view.seen.boxes.astype(np.float64) for view in views], truth[t].astype(np.float64))

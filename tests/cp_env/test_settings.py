@@ -16,7 +16,10 @@ from tests.campaign.values import STRANGE
     [
         ({"n_attackers": 5}, r"0 <= k < n: k = 5, n_vehicles = 5"),
         ({"n_attackers": -1}, r"0 <= k < n"),
-        ({"n_vehicles": 1}, r"at least 2"),
+        ({"n_vehicles": 1}, r"at least 2 \(an ego and a collaborator; 1 is enough with rsu=True\), not 1"),
+        ({"n_vehicles": 0, "rsu": True}, r"at least 1 \(1 with the road-side unit\), not 0"),
+        ({"n_vehicles": 1, "rsu": True}, r"k = 2, n_vehicles = 1 and the road-side unit"),
+        ({"n_vehicles": 1, "rsu": True, "attackers": (0, 1)}, r"leave one vehicle benign: 2 of 2"),
         ({"attackers": (0, 0)}, r"distinct numbers"),
         ({"attackers": (5,)}, r"from 0 \(the ego\) to 4"),
         ({"attackers": (0, 1, 2, 3, 4)}, r"leave one vehicle benign"),
@@ -57,6 +60,14 @@ def test_strange_values_are_taken_or_refused_in_a_sentence(name: str) -> None:
     assert len(refusals) > len(STRANGE) / 2
     assert all(name in said or "attackers" in said for said in refusals)
     assert max(map(len, refusals)) < 600
+
+
+def test_one_vehicle_and_the_road_side_unit_are_enough() -> None:
+    """Either may be malicious, so attackers are drawn from both; beside more vehicles the unit is never drawn."""
+    alone = Settings(n_vehicles=1, n_attackers=1, rsu=True)
+    assert (alone.n_maps, alone.n_suspects, alone.k) == (2, 2, 1)
+    assert Settings(n_vehicles=1, attackers=(1,), rsu=True).attackers == (1,)
+    assert (Settings(rsu=True).n_suspects, Settings(n_vehicles=2, n_attackers=1).n_suspects) == (5, 2)
 
 
 def test_counts_attackers_and_maps() -> None:

@@ -8,9 +8,10 @@ it was at.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -23,7 +24,11 @@ from cp_env.detector.training.loss import Targets, stack, targets
 from cp_env.geometry.planar import LATTICE, grid_origin
 from cp_env.lidar.returns import returns_of
 from cp_env.progress import track
+from cp_env.scenes.errors import BrokenData
+from cp_env.scenes.formats.plain_numpy import load_npz, map_npy
 from cp_env.types import Scene, SceneSource
+
+T = TypeVar("T")
 
 RETURNS_SEEN = 3
 """A group sees a vehicle of which its sensors have at least this many returns together."""
@@ -88,8 +93,19 @@ def _rasterised(source: SceneSource, name: str, folder: Path, stride: int) -> Ra
     grids, rest = folder / f"{name}.npy", folder / f"{name}.npz"
     if not rest.exists():
         _record(source, source.load(name), grids, rest, stride)
-    with np.load(rest, allow_pickle=False) as arrays:
-        return RasterisedScene(np.load(grids, mmap_mode="r"), **{key: arrays[key] for key in arrays.files})
+    return RasterisedScene(_kept(grids, map_npy), **_kept(rest, load_npz))
+
+
+def _kept(path: Path, read: Callable[[Path], T]) -> T:
+    """What a file of the cache holds.
+
+    Raises:
+        BrokenData: it cannot be read; the way out is named.
+    """
+    try:
+        return read(path)
+    except (OSError, ValueError) as error:
+        raise BrokenData(path, f"{error}; delete {path.parent}, what it holds is made again") from error
 
 
 def _record(source: SceneSource, scene: Scene, grids: Path, rest: Path, stride: int) -> None:
@@ -137,8 +153,7 @@ def _encoded(rasterised: RasterisedScene, detector: Detector, path: Path) -> Flo
         partial = path.with_suffix(".part.npy")
         np.save(partial, np.stack(maps))
         partial.rename(path)
-    maps_on_disk: np.ndarray = np.load(path, mmap_mode="r", allow_pickle=False)
-    return maps_on_disk
+    return _kept(path, map_npy)
 
 
 def draw(

@@ -12,14 +12,15 @@ world. The vehicle's LiDAR looks along its x axis.
 from __future__ import annotations
 
 import hashlib
+import sys
 from collections import OrderedDict
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tqdm import tqdm
 
+from cp_env.progress import say, track
 from cp_env.scenes.assembly.road import DRAWN, Road
 from cp_env.scenes.assembly.sweep import placed_sweep
 from cp_env.scenes.dair_v2x.build import FrameSequence, build, pieces, usual_step
@@ -116,7 +117,7 @@ class DairV2X:
         self._pairs = {name: self._pairs[name] for name in dict.fromkeys(scenes) or self._pairs}
         self.left_out = tuple(LeftOut(f"frame {number}", e.file, e.reason) for number, e in faults.items())
         for item in self.left_out:
-            tqdm.write(str(item))
+            say(str(item), sys.stdout)
         self.digest = self._digest((unit, offset, classes))
 
     def __getstate__(self) -> dict[str, Any]:
@@ -167,7 +168,7 @@ class DairV2X:
     def _faults(self, pairs: Sequence[Pair], *, everything: bool) -> dict[str, BrokenData]:
         """What is wrong, by the vehicle's frame: missing files, or whatever reading all of them shows."""
         faults: dict[str, BrokenData] = {}
-        for pair in tqdm(pairs, f"checking {self.name}", leave=False, unit="frame", disable=not everything):
+        for pair in track(pairs, f"checking {self.name}", unit="frame") if everything else pairs:
             try:
                 for file in files_of(self.root, pair):
                     if not file.is_file():

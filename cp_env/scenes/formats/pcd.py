@@ -136,7 +136,10 @@ def _text(header: Header, body: memoryview) -> Float32[np.ndarray, "P 3"]:
     text = decimals.Text(body)
     if len(text) != header.points * each:
         raise ValueError(f"it is cut short: its header promises {header.points} points, it holds {len(text) // each}")
-    return np.stack([_single(text.numbers(slice(number, None, each))) for _, number, _ in _axes(header)], axis=1)
+    rows = np.empty((header.points, 3), dtype=np.float32)
+    for row, (_, number, _) in zip(rows.T, _axes(header), strict=True):
+        row[:] = _single(text.numbers(slice(number, None, each)))
+    return rows
 
 
 def _binary(header: Header, body: memoryview) -> Float32[np.ndarray, "P 3"]:

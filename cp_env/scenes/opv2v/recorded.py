@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import sys
 from collections import OrderedDict
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
@@ -12,8 +13,8 @@ from zlib import crc32
 
 import numpy as np
 from jaxtyping import Float
-from tqdm import tqdm
 
+from cp_env.progress import say, track
 from cp_env.scenes.assembly.road import DRAWN, EXACT, Road
 from cp_env.scenes.assembly.sweep import placed_sweep
 from cp_env.scenes.errors import BrokenData, LeftOut, sift
@@ -129,7 +130,7 @@ class Recorded:
         _, left_out = sift(dict.fromkeys(asked.values()) or folders, check, skip_broken=options.skip_broken)
         self._checked = None
         for item in lost:
-            tqdm.write(str(item))
+            say(str(item), sys.stdout)
         self.left_out = (*left_out, *lost)
         self._names = tuple(self._pieces)
         if not self._names:
@@ -221,7 +222,7 @@ class Recorded:
         if self._checked is None:
             return faults
         radians = self._in_radians(piece)
-        for number in tqdm(piece.numbers, f"checking {name}", leave=False, unit="frame"):
+        for number in track(piece.numbers, f"checking {name}", unit="frame"):
             try:
                 self._row(piece.scenario, number, radians=radians)
                 for file in [piece.scenario.points(agent, number) for agent in piece.scenario.agents]:

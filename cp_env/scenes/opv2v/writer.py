@@ -18,8 +18,8 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from tqdm import tqdm
 
+from cp_env.progress import track
 from cp_env.scenes.formats import pcd
 from cp_env.scenes.opv2v.axes import from_carla, mirrored, to_carla
 from cp_env.scenes.opv2v.layouts import OPV2V, V2V4REAL, V2X_REAL, Layout
@@ -47,7 +47,7 @@ def write(source: SceneSource, names: Sequence[str], out: Path, *, data: str = "
     """
     if kind not in LAYOUTS:
         raise ValueError(f"kind must be one of {', '.join(LAYOUTS)}; got {kind!r}")
-    for name in tqdm(names, f"writing {source.name}", unit="scene"):
+    for name in track(names, f"writing {source.name}", unit="scene"):
         _write(source, name, out, data, LAYOUTS[kind])
 
 
@@ -63,7 +63,7 @@ def _write(source: SceneSource, name: str, out: Path, data: str, layout: Layout)
     for agent in agents:
         (folder / agent).mkdir(parents=True, exist_ok=True)
     starts = range(0, scene.n_frames, _AT_ONCE)
-    for start in tqdm(starts, f"writing {name}", leave=False, unit_scale=_AT_ONCE, unit="frame"):
+    for start in starts:
         frames = range(start, min(start + _AT_ONCE, scene.n_frames))
         for t, sweeps in zip(frames, source.sweeps(scene, frames), strict=True):
             for k, (agent, sweep) in enumerate(zip(agents, sweeps, strict=False)):

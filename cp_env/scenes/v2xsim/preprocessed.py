@@ -17,9 +17,9 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
-from tqdm import tqdm
 
 from cp_env.lidar.returns import count_returns, standing, to_world_axes
+from cp_env.progress import track
 from cp_env.scenes.assembly.road import DRAWN, Road
 from cp_env.scenes.errors import BrokenData, sift
 from cp_env.scenes.formats.plain_numpy import load_npz
@@ -74,8 +74,8 @@ class V2XSimDet:
         if unknown:
             raise ValueError(f"{unknown[0]!r} is not in split {split!r} of {path}, which holds {', '.join(every)}")
         self._files: dict[str, _Files] = {name: every[name] for name in chosen}
-        bar = tqdm(chosen, desc=f"reading {path}", unit="scene", disable=not progress)
-        kept, self.left_out = sift(bar, lambda name: self._sequence(name), skip_broken=skip_broken)
+        shown = track(chosen, f"reading {path}", unit="scene") if progress else chosen
+        kept, self.left_out = sift(shown, lambda name: self._sequence(name), skip_broken=skip_broken)
         self._names = tuple(name for name in kept if len(self._sequence(name).agents) >= max(vehicles, 1))
         if not self._names:
             raise ValueError(f"no scene of {self.name} in {path} has {vehicles} vehicles in every frame; ask for fewer")

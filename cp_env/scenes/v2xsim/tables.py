@@ -65,7 +65,9 @@ class Tables:
         self.folder = folder
         total = sum(self.path(name).stat().st_size for name in TABLES)
         self._sha = hashlib.sha256()
-        self._bar = tqdm(total=total, desc=f"indexing {folder}", unit="B", unit_scale=True, disable=not progress)
+        self._bar = tqdm(
+            total=total, desc=f"indexing {folder}", unit="B", unit_scale=True, disable=None if progress else True
+        )
 
     def path(self, name: str) -> Path:
         return self.folder / f"{name}.json"

@@ -17,9 +17,9 @@ from typing import IO, Any
 import numpy as np
 from jaxtyping import Float
 from PIL import Image
-from tqdm import tqdm
 
 from cp_env.geometry import spatial
+from cp_env.progress import Progress
 from cp_env.types import Scene, SceneSource, Sweep
 
 VERSION = "v2.0"
@@ -52,7 +52,7 @@ def write(source: SceneSource, names: Sequence[str], root: Path) -> None:
     with ExitStack() as stack:
         tables = _Tables(root / VERSION, stack)
         _write_common(tables, 1 + max(scene.n_connected for scene in scenes))
-        bar = stack.enter_context(tqdm(total=sum(scene.n_frames for scene in scenes), desc="writing", unit="frame"))
+        bar = stack.enter_context(Progress(f"writing {root}", sum(scene.n_frames for scene in scenes), "frame"))
         for scene in scenes:
             for start in range(0, scene.n_frames, _AT_ONCE):
                 frames = range(start, min(start + _AT_ONCE, scene.n_frames))
@@ -65,7 +65,7 @@ def write(source: SceneSource, names: Sequence[str], root: Path) -> None:
                     for agent, sweep in agents.items():
                         points = _in_sensor(sweep, _yaw(scene, frame, agent))
                         _write_points(root / _file(scene, frame, agent), points)
-                    bar.update()
+                    bar.advance()
 
 
 class _Tables:

@@ -238,7 +238,7 @@ def test_a_broken_or_missing_file_is_named(copy: Path) -> None:
         town.load(name)
     with pytest.raises(ValueError, match=path.name):
         Town("test", copy)
-    for text in ("{", "{}", "[]"):
+    for text in ("{", "{}", "[]", "[" * 100_000):
         (copy / INDEX).write_text(text)
         with pytest.raises(ValueError, match=INDEX):
             Town("test", copy)

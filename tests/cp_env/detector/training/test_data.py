@@ -11,6 +11,7 @@ import torch
 from cp_env.detector.model import bev
 from cp_env.detector.training import data
 from cp_env.detector.training.data import RasterisedScene, draw, prepare
+from cp_env.scenes.errors import BrokenData
 from cp_env.types import Sweep
 from tests.helpers.tiny_training import _overlap
 from tests.helpers.toy_scenes import ToySource
@@ -33,6 +34,16 @@ def test_scenes_are_rasterised_once(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(ToySource, "sweeps", lambda *_: pytest.fail("cast again"))
     again = prepare(source, tmp_path)
     assert np.array_equal(first[0].packed, again[0].packed)
+
+
+@pytest.mark.parametrize("kind", ["npy", "npz"])
+def test_a_broken_file_of_the_cache_is_named_with_the_way_out(tmp_path: Path, kind: str) -> None:
+    source = ToySource(n_frames=1)
+    prepare(source, tmp_path)
+    (file,) = tmp_path.glob(f"*/toy-0.{kind}")
+    file.write_bytes(file.read_bytes()[:-30])
+    with pytest.raises(BrokenData, match=rf"toy-0\.{kind}: .*; delete .*, what it holds is made again"):
+        prepare(source, tmp_path)
 
 
 @pytest.mark.parametrize("mirror", [np.array([a, b, c], dtype=bool) for a in (0, 1) for b in (0, 1) for c in (0, 1)])

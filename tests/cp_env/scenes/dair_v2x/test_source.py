@@ -8,14 +8,19 @@ import pickle
 import random
 import shutil
 import tracemalloc
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
+import gymnasium
 import numpy as np
 import pytest
+import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
+import agents.sb3
 import cp_env
 from cp_env.scenes import open_source
 from cp_env.scenes.dair_v2x.source import DairV2X
@@ -23,6 +28,7 @@ from cp_env.scenes.errors import BrokenData
 from cp_env.testing import check_scenes
 from cp_env.testing.scenes import LawBroken
 from cp_env.types import SceneSource
+from cp_env.world.world import World
 from tests.helpers.dair_sets import OFFSET, by_hand, write_set
 from tests.helpers.damage import damaged
 from tests.helpers.toy_scenes import ToySource
@@ -167,10 +173,49 @@ def test_environments_play_the_vehicle_and_the_unit(thin: Path) -> None:
     env.reset(seed=0)
     *_, infos = env.step({agent: env.action_space(agent).sample() for agent in env.agents})
     assert all(np.isfinite(info["damage"]) for info in infos.values())
-    with pytest.raises(ValueError, match="holds only 1 connected vehicles"):
+    with pytest.raises(ValueError, match=r"only 1 connected vehicle; take n_vehicles=1 with rsu=True, or choose other"):
         cp_env.parallel_env("ego_only", scenes=f"{scenes}&unit=rsu", n_vehicles=2, n_attackers=1)
     with pytest.raises(ValueError, match="has 1 connected vehicles with unit=rsu, not 2"):
         open_source(f"{scenes}&unit=rsu&vehicles=2")
+
+
+APIS: dict[str, Callable[..., Any]] = {
+    "parallel": lambda **options: cp_env.parallel_env("prbi", **options),
+    "aec": lambda **options: cp_env.env("prbi", **options),
+    "vector": lambda **options: cp_env.vector_env(2, "prbi", **options),
+    "gymnasium": lambda **options: gymnasium.make("cp_env/CollaborativePerception-v0", defender="prbi", **options),
+    "sb3": lambda **options: agents.sb3.make_vec_env(1, "prbi", **options),
+}
+
+
+@pytest.mark.parametrize("api", APIS)
+def test_one_vehicle_and_the_road_side_unit_play_at_every_api(thin: Path, api: str) -> None:
+    """No mast is a vehicle then, so that it is no truth that nobody finds."""
+    made = APIS[api](
+        scenes=f"dair-v2x:{thin}?stride=1&unit=rsu", n_vehicles=1, rsu=True, n_attackers=1, action="basis", max_frames=2
+    )
+    if api == "sb3":
+        made.seed(0)
+        made.reset()
+    else:
+        made.reset(seed=0)
+    if api == "parallel":
+        *_, infos = made.step({agent: made.action_space(agent).sample() for agent in made.agents})
+        assert all(np.isfinite(info["damage"]) for info in infos.values())
+    made.close()
+
+
+def test_either_of_one_vehicle_and_the_unit_may_be_malicious(thin: Path) -> None:
+    world = World(
+        1, defender="prbi", scenes=f"dair-v2x:{thin}?stride=1&unit=rsu", n_vehicles=1, rsu=True, n_attackers=1
+    )
+    drawn = set()
+    for seed in range(8):
+        world.reset([seed])
+        drawn.add(int(world.attackers[0, 0]))
+    assert drawn == {0, 1}
+    outcome = world.step(torch.zeros(world.situation().delta_shape))
+    assert outcome.output[0].group <= {0, 1} and len(outcome.truth[0]) == len(world.places[0][0].truth[0])
 
 
 def test_bad_options_are_named(thin: Path) -> None:

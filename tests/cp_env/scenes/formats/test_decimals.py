@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from cp_env.scenes.formats import decimals
 from cp_env.scenes.formats.decimals import Text
 
 PLAIN = st.from_regex(r"[+-]?([0-9]{1,17}(\.[0-9]{0,17})?|\.[0-9]{1,17})", fullmatch=True)
@@ -30,6 +31,23 @@ def test_every_number_is_that_of_float(words: list[str], blank: str) -> None:
     read = Text(text)
     assert len(read) == len(words)
     assert same(read.numbers(slice(None)).tolist(), slowly(text))
+
+
+@given(
+    st.lists(st.tuples(PLAIN | UNUSUAL, st.sampled_from(" \n\t\r\x0b\x0c")), max_size=30),
+    st.sampled_from([1, 7, 64]),
+    st.sampled_from(["", " ", "\x1c", "\0"]),
+)
+def test_one_blank_behind_each_word(words: list[tuple[str, str]], scanned: int, more: str) -> None:
+    """As a point cloud has them. One blank too many, or what only looks like one, changes nothing about the words."""
+    text = ("".join(word + blank for word, blank in words) + more).encode()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(decimals, "_SCANNED", scanned)
+        read = Text(text)
+    assert len(read) == len(text.split())
+    if more not in ("\x1c", "\0"):
+        assert same(read.numbers(slice(None)).tolist(), slowly(text))
+        assert same(read.numbers(slice(1, None, 3)).tolist(), slowly(text)[1::3])
 
 
 def test_long_texts_are_read_in_blocks() -> None:

@@ -93,7 +93,13 @@ def documented() -> list[list[str]]:
     variables, _, commands = f"DATA={block}".partition(";")
     for name, _, value in (variable.partition("=") for variable in shlex.split(variables)):
         commands = commands.replace(f"${name}", value)
-    return [shlex.split(command)[1:] for command in commands.split("&&")]
+    return [shlex.split(command) for command in commands.split("&&")]
+
+
+def split(command: list[str]) -> tuple[str, list[str]]:
+    """The program, its subcommand included, and its options."""
+    first = next(number for number, word in enumerate(command) if word.startswith("--"))
+    return " ".join(command[:first]), command[first:]
 
 
 def test_the_papers_setting_by_the_documented_commands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -102,8 +108,8 @@ def test_the_papers_setting_by_the_documented_commands(tmp_path: Path, monkeypat
     monkeypatch.setattr(sys, "argv", ["benchmark.py"])
     from examples import benchmark
 
-    (_, trainer, *words), (_, evaluator, *more), (program, *rest) = documented()
-    assert (trainer, evaluator, program) == (train.__name__, evaluate.__name__, "examples/benchmark.py")
+    programs, (words, more, rest) = zip(*map(split, documented()), strict=True)
+    assert programs == ("cp-train detector", "cp-env evaluate", "cp-benchmark")
     words, more, rest = (
         [word.replace("/data/V2X-Sim-2.0", str(root)) for word in part] for part in (words, more, rest)
     )
