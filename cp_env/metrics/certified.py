@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numpy.typing import ArrayLike
 
 from cp_env.metrics.critical import found
@@ -34,5 +34,11 @@ def certified_recall(counts: ArrayLike, k: int) -> float:
     """
     if k < 0:
         raise ValueError(f"k counts attackers and must be at least 0, not {k}")
-    number = np.asarray(counts)
-    return float((number >= 2 * k + 1).mean()) if number.size else 1.0
+    certified = is_certified(np.asarray(counts, dtype=np.intp), k)
+    return float(certified.mean()) if certified.size else 1.0
+
+
+def is_certified(counts: Int[np.ndarray, "*n"], k: int) -> Bool[np.ndarray, "*n"]:
+    """Which vehicles no k attackers can hide; without an attacker, those that one view finds."""
+    enough: Bool[np.ndarray, "*n"] = counts >= 2 * k + 1
+    return enough

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Float, Float16, Shaped
+from jaxtyping import Float, Float16, Int, Shaped
 from torch import Tensor
 
 from cp_env.detector.model.decoder import Dense
@@ -53,6 +53,7 @@ class Episode:
     clean: Clean  # everyone fused, no attack; half precision
     truth: PerFrame[Float[np.ndarray, "_ 5"]]  # strict: every vehicle in range, seen or hidden; ego frame
     ego_context: PerFrame[Shaped[np.ndarray, "..."]] | None = None  # of the ego, if the detector uses it
+    witnesses: PerFrame[Int[np.ndarray, " L"]] | None = None  # single views that find each vehicle of the truth
 
     @property
     def clean_views(self) -> PerFrame[View]:

@@ -1,6 +1,6 @@
 """Certified recall: the share of true vehicles that no k attackers can hide from an ego that lets single views vote.
 
-    python examples/reproduce/certified_recall.py --n-scenes 3 --frames 10
+    python examples/reproduce/certified_recall.py
     python examples/reproduce/certified_recall.py --vehicles 8
 
 A property of scenes, detector and fleet: no attack, budget or seed enters (see `cp_env.metrics.certified`). Printed are
@@ -18,12 +18,10 @@ from rich.console import Console
 from rich.table import Table
 
 from agents.arena.conditions import spread
-from agents.attacks.gradient import no_perturbation
-from cp_env.metrics.certified import certified_recall, witnesses
+from cp_env.metrics.certified import certified_recall
 from cp_env.metrics.shares import share_interval
-from cp_env.scenes import open_source
-from cp_env.world.counterfactual import views_under
-from cp_env.world.world import World
+from cp_env.settings import WORLD_DEFAULTS
+from cp_env.world.world import open_bank
 
 
 @dataclass(frozen=True)
@@ -38,22 +36,14 @@ class Args:
 
 def counts_of(args: Args) -> dict[str, list[int]]:
     """By scene: how many single views find each true vehicle of its frames."""
-    names = open_source(args.scenes).names()
-    names = names if args.n_scenes is None else spread(names, args.n_scenes)
-    world = World(1, defender="none", scenes=args.scenes, n_vehicles=args.vehicles, n_attackers=0, max_frames=1)
+    bank = open_bank("mean", **WORLD_DEFAULTS | {"scenes": args.scenes})
+    names = bank.source.names()
     found: dict[str, list[int]] = {}
-    for name in names:
-        world.reset([0], options=[{"scene": name, "start": 0}])
-        length = world.places[0][0].scene.n_frames
-        for start in np.linspace(0, length - 1, args.frames).astype(int).tolist():
-            world.reset([0], options=[{"scene": name, "start": start}])
-            situation = world.situation()
-            singles = [(0, frozenset({i})) for i in range(args.vehicles)]
-            views = views_under(situation, no_perturbation(situation), singles)
-            ((episode, frame),) = world.places
-            boxes = [view.seen.boxes.astype(np.float64) for view in views]
-            truth = episode.truth[frame].astype(np.float64)
-            found.setdefault(name, []).extend(witnesses(boxes, truth).tolist())
+    for name in names if args.n_scenes is None else spread(names, args.n_scenes):
+        episode = bank.episode(name, args.vehicles, rsu=False)
+        assert episode.witnesses is not None
+        for frame in np.linspace(0, episode.scene.n_frames - 1, args.frames).astype(int).tolist():
+            found.setdefault(name, []).extend(episode.witnesses[frame].tolist())
     return found
 
 

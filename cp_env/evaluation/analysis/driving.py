@@ -15,7 +15,7 @@ import numpy as np
 from cp_env.evaluation.plan.driving_record import DrivingRecord
 from cp_env.evaluation.plan.records import PooledApMeter, Record
 from cp_env.metrics.identification import Roc, roc
-from cp_env.metrics.intervals import Interval, t_interval
+from cp_env.metrics.intervals import Interval, rate_interval, t_interval
 from cp_env.metrics.shares import share_interval
 
 HARD = 4.0
@@ -30,13 +30,14 @@ class DrivingRow:
 
     critical_recall: Interval | None
     critical_ap: Interval | None  # at 0.5
+    certified: Interval | None  # share of the vehicles that no k attackers can hide from a vote of single views
     removal: Interval | None  # share of frames in which the nearest vehicle was removed
     spoofing: Interval | None  # share of frames with a spoofed car in the way
     streak: Interval | None  # longest run of frames with either
     mdr: Interval | None  # m/s²
-    mdr_hard: Interval | None  # share of episodes above 4 m/s²
+    mdr_hard: Interval | None  # rate of episodes above 4 m/s²
     fsr: Interval | None  # m/s lost in a minute
-    collisions: Interval | None  # share of episodes
+    collisions: Interval | None  # rate of episodes
     hard_brakings: Interval | None  # an episode
     min_time_to_collision: Interval | None  # s, over the episodes that have one
     mean_speed: Interval | None  # m/s
@@ -81,17 +82,27 @@ def _beliefs(record: Record, *, malicious: bool) -> np.ndarray:
 
 
 def _row(records: list[Record], curve: Roc | None) -> DrivingRow:
-    def means(value: Value) -> list[float]:
-        by_scene: dict[str, list[float]] = {}
+    def by_scene(value: Value) -> list[list[float]]:
+        values: dict[str, list[float]] = {}
         for record in records:
             assert record.driving is not None
             if (found := value(record.driving, record.grace_frames)) is not None:
-                by_scene.setdefault(record.scene, []).append(float(found))
-        return [float(np.mean(same)) for same in by_scene.values()]
+                values.setdefault(record.scene, []).append(float(found))
+        return list(values.values())
+
+    def means(value: Value) -> list[float]:
+        return [float(np.mean(same)) for same in by_scene(value)]
 
     def share(value: Value) -> Interval | None:
         values = means(value)
         return share_interval(values) if values else None
+
+    def rate(happens: Callable[[DrivingRecord], bool]) -> Interval | None:
+        """Exact bounds where every scene has one episode; episodes of one scene are not independent."""
+        values = by_scene(lambda driving, _: float(happens(driving)))
+        if any(len(same) > 1 for same in values):
+            return share(lambda driving, _: float(happens(driving)))
+        return rate_interval(int(sum(map(sum, values))), len(values)) if values else None
 
     def count(value: Value) -> Interval | None:
         values = means(value)
@@ -100,13 +111,14 @@ def _row(records: list[Record], curve: Roc | None) -> DrivingRow:
     return DrivingRow(
         critical_recall=share(DrivingRecord.recall),
         critical_ap=_critical_ap(records),
+        certified=share(DrivingRecord.certified_recall),
         removal=share(DrivingRecord.removal),
         spoofing=share(DrivingRecord.spoofing),
         streak=count(DrivingRecord.streak),
         mdr=count(lambda driving, _: driving.mdr),
-        mdr_hard=share(lambda driving, _: float(driving.mdr > HARD)),
+        mdr_hard=rate(lambda driving: driving.mdr > HARD),
         fsr=count(lambda driving, _: driving.fsr),
-        collisions=share(lambda driving, _: float(driving.collided)),
+        collisions=rate(lambda driving: driving.collided),
         hard_brakings=count(lambda driving, _: driving.hard_brakings),
         min_time_to_collision=count(lambda driving, _: driving.min_time_to_collision),
         mean_speed=count(lambda driving, _: driving.mean_speed),

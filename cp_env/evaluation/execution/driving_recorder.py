@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+from jaxtyping import Int
+
 from cp_env.driving.closed_loop import PseudoClosedLoop
 from cp_env.evaluation.plan.driving_record import DrivingRecord, believed
+from cp_env.metrics.certified import is_certified
 from cp_env.metrics.critical import CriticalApMeter
 from cp_env.metrics.severity import SeverityMeter
 from cp_env.world.situation import Outcome
@@ -28,9 +32,18 @@ class DrivingRecorder:
         self._frames: dict[str, list[int]] = {name: [] for name in RECORDED}
         self._belief: list[float] | None = []
         self._late = 0
+        self._vehicles: list[int] = []
+        self._certified: list[int] = []
 
-    def add(self, outcome: Outcome, e: int, defender: Defender) -> None:
-        """Record one frame of world `e`, and what its defender believes after it."""
+    def add(self, outcome: Outcome, e: int, defender: Defender, witnesses: Int[np.ndarray, " L"] | None = None) -> None:
+        """Record one frame of world `e`, and what its defender believes after it.
+
+        Args:
+            outcome: of all worlds.
+            e: the world.
+            defender: of it.
+            witnesses: how many single views find each true vehicle, where that is known.
+        """
         output, around = outcome.output[e], outcome.surroundings[e]
         self.meter.add_critical(output.detections, around)
         self._severity.add(output.seen.boxes, around)
@@ -42,6 +55,9 @@ class DrivingRecorder:
         flags = (outcome.removable[e], outcome.removed[e], outcome.spoofed[e], outcome.decodes[e])
         for values, value in zip(self._frames.values(), (there, there - found, *flags), strict=True):
             values.append(int(value))
+        if witnesses is not None:
+            self._vehicles.append(len(witnesses))
+            self._certified.append(int(is_certified(witnesses, outcome.attackers.shape[1]).sum()))
         self._late += outcome.seconds / len(outcome.judgements) > DEADLINE
         belief = _belief(defender, self.n_maps)
         self._belief = None if self._belief is None or not belief else [*self._belief, *belief]
@@ -53,6 +69,8 @@ class DrivingRecorder:
         nearest = drive.min_time_to_collision
         return DrivingRecord(
             **{name: tuple(values) for name, values in self._frames.items()},
+            vehicles=tuple(self._vehicles),
+            certified=tuple(self._certified),
             belief=tuple(self._belief or ()),
             late_frames=self._late,
             mdr=round(self._severity.mdr, 6),

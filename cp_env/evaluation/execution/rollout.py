@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 import defenders
 from cp_env.attack import Attack, Learned
@@ -18,10 +18,13 @@ from cp_env.evaluation.execution.driving_recorder import DrivingRecorder
 from cp_env.evaluation.plan.records import IOUS, Record
 from cp_env.evaluation.plan.runs import Conditions, Run
 from cp_env.metrics.average_precision import ApMeter
+from cp_env.world.episode import Episode
 from cp_env.world.scene_cache import SceneBank
 from cp_env.world.situation import FRAME_METRICS, Clock, Outcome
 from cp_env.world.streams import keyed_generator
+from cp_env.world.verification import DefenderError
 from cp_env.world.world import World
+from defenders.failure import Failure, blamed
 from defenders.protocol import Defender
 from defenders.sealed import seal
 
@@ -46,7 +49,9 @@ class Rollout:
         attack: Attack | Learned,
         clock: Clock = time.perf_counter,
     ) -> None:
-        defender = seal(run.defender) if conditions.sealed else defenders.make(run.defender)
+        self._entries = f"defender {run.defender}", f"attack {run.attack}"
+        with blamed(self._entries[0]):
+            defender = seal(run.defender) if conditions.sealed else defenders.make(run.defender)
         settings = vars(conditions.settings(run.k))
         seeds = [_seed(run.seed, scene) for scene in run.names]
         options = [{"scene": scene} for scene in run.names]
@@ -54,24 +59,37 @@ class Rollout:
             self.world = World(
                 len(run.names), defender=defender, bank=bank, clock=clock, key=conditions.key, **settings
             )
-            self.world.reset(seeds, options=options)
+            with blamed(self._entries[0], DefenderError):
+                self.world.reset(seeds, options=options)
             own = [keyed_generator(conditions.key, run.seed, scene, "attack") for scene in run.names]
             self.step = self._scripted(attack, own)
         else:
             settings = settings | {name: attack.options[name] for name in VIEWPOINT if name in attack.options}
             game = Game(len(run.names), defender, bank=bank, clock=clock, key=conditions.key, **settings)
             self.world = game.world
-            self.step = self._learned(attack, game, game.reset(seeds, options=options)[0])
+            with blamed(self._entries[0], DefenderError):
+                observations, _ = game.reset(seeds, options=options)
+            self.step = self._learned(attack, game, observations)
 
     def _scripted(self, attack: Attack, streams: list[np.random.Generator]) -> Callable[[], Outcome]:
-        attack.reset(len(streams), streams)
-        return lambda: self.world.step(attack.act(self.world.situation()))
+        with blamed(self._entries[1]):
+            attack.reset(len(streams), streams)
+
+        def step() -> Outcome:
+            situation = self.world.situation()
+            with blamed(self._entries[1]):
+                delta = attack.act(situation)
+            return self.world.step(delta)
+
+        return step
 
     def _learned(self, attack: Learned, game: Game, observations: Any) -> Callable[[], Outcome]:
         held = [observations]
 
         def step() -> Outcome:
-            held[0], *_ = game.step(attack(held[0]))
+            with blamed(self._entries[1]):
+                actions = attack(held[0])
+            held[0], *_ = game.step(actions)
             assert game.outcome is not None
             return game.outcome
 
@@ -106,9 +124,10 @@ def play(
         for scene, numbers, informed in zip(run.names, attackers, rollout.world.informed, strict=True)
     ]
     while any(recorder.running for recorder in recorders):
+        places = rollout.world.places
         outcome = rollout.step()
         for e, recorder in enumerate(recorders):
-            recorder.add(outcome, e, rollout.world.defenders[e])
+            recorder.add(outcome, e, rollout.world.defenders[e], _witnesses(*places[e]) if recorder.running else None)
     return [recorder.record(conditions) for recorder in recorders]
 
 
@@ -129,11 +148,19 @@ class EpisodeRecorder:
         self.suspects: tuple[int, ...] = ()
         self.converged: int | None = None
         self.error: str | None = None
+        self.failure: Failure | None = None
         self.informed, self.seconds = informed, 0.0
         self.driving, self._finds_itself = DrivingRecorder(n_maps), finds_itself
 
-    def add(self, outcome: Outcome, e: int, defender: Defender) -> None:
-        """Record one frame, unless the episode is over (the world waits for its neighbours then)."""
+    def add(self, outcome: Outcome, e: int, defender: Defender, witnesses: Int[np.ndarray, " L"] | None = None) -> None:
+        """Record one frame, unless the episode is over (the world waits for its neighbours then).
+
+        Args:
+            outcome: of all worlds.
+            e: the episode's world.
+            defender: of it.
+            witnesses: how many single views find each true vehicle of the frame, where that is known.
+        """
         if not self.running:
             return
         verdict = outcome.verdicts[e]
@@ -143,8 +170,8 @@ class EpisodeRecorder:
         if self.converged is None:
             self.suspects = tuple(sorted(verdict.suspects))
             self.converged = int(outcome.frame[e]) if verdict.converged else None
-        self.driving.add(outcome, e, defender)
-        self.error = outcome.errors[e]
+        self.driving.add(outcome, e, defender, witnesses)
+        self.error, self.failure = outcome.errors[e], outcome.judgements[e].failure
         self.seconds += outcome.seconds / len(outcome.judgements)
         self.running = not bool(outcome.truncated[e])
 
@@ -172,7 +199,13 @@ class EpisodeRecorder:
             seconds=round(self.seconds, 6),
             driving=self.driving.record(),
             critical_meter=self.driving.meter,
+            failure=self.failure,
         )
+
+
+def _witnesses(episode: Episode, frame: int) -> Int[np.ndarray, " L"] | None:
+    """Of a frame of the unattacked scene, the same for all runs."""
+    return None if episode.witnesses is None else episode.witnesses[frame]
 
 
 def _seed(seed: int, scene: str) -> np.random.SeedSequence:

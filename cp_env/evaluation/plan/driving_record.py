@@ -36,6 +36,8 @@ class DrivingRecord:
     impact_speed: float  # m/s
     min_time_to_collision: float | None  # s; None if the ego never closed in on a vehicle
     mean_speed: float  # m/s
+    vehicles: tuple[int, ...] = ()  # true ones in range; empty where witnesses were not counted
+    certified: tuple[int, ...] = ()  # of them, those that no attackers of this number can hide from a vote
 
     @classmethod
     def from_json(cls, data: Any, n_frames: int, n_maps: int) -> DrivingRecord:
@@ -54,10 +56,11 @@ class DrivingRecord:
         plain: dict[str, Any] = {key: tuple(value) if isinstance(value, list) else value for key, value in data.items()}
         made = cls(**plain)
         for one in fields(cls):
-            value = plain[one.name]
+            value = getattr(made, one.name)
             if isinstance(value, tuple):
                 kind = float if one.name == "belief" else int
                 wanted = (0, n_frames * n_maps) if one.name == "belief" else (n_frames,)
+                wanted = (0, n_frames) if one.name in ("vehicles", "certified") else wanted
                 if len(value) not in wanted or any(type(item) is not kind for item in value):
                     raise ValueError(f"{one.name} of a driving record is of another length or type")
             elif type(value) not in _PLAIN[one.name]:
@@ -73,6 +76,8 @@ class DrivingRecord:
         lawful = (
             all(0 <= removed <= removable <= 1 for removable, removed in found)
             and all(0 <= missing <= there <= MAX_COUNT for there, missing in missed)
+            and len(self.certified) == len(self.vehicles)
+            and all(0 <= safe <= there <= MAX_COUNT for there, safe in zip(self.vehicles, self.certified, strict=False))
             and all(0 <= spoofed <= 1 for spoofed in self.spoofed)
             and all(0 <= count <= MAX_COUNT for count in (*self.decodes, self.late_frames, self.hard_brakings))
             and all(0 <= probability <= 1 for probability in self.belief)
@@ -105,6 +110,11 @@ class DrivingRecord:
         """The most consecutive frames in which the attack reached one of the two targets."""
         either = zip(self.removed[grace:], self.spoofed[grace:], strict=True)
         return longest_streak(removed or spoofed for removed, spoofed in either)
+
+    def certified_recall(self, grace: int) -> float | None:
+        """Certified recall after the grace frames; None without a vehicle, or where witnesses were not counted."""
+        there = sum(self.vehicles[grace:])
+        return sum(self.certified[grace:]) / there if there else None
 
     def beliefs(self, n_maps: int) -> Float[np.ndarray, "T N"]:
         """The defender's belief in each frame; no rows if it has none."""

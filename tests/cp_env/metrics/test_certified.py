@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from cp_env.metrics.certified import certified_recall, witnesses
+from cp_env.metrics.certified import certified_recall, is_certified, witnesses
 from tests.helpers.roads import boxes_at
 
 CARS = boxes_at((0, 0), (10, 0), (20, 0))
@@ -25,6 +25,7 @@ def test_the_share_with_enough_witnesses() -> None:
     assert certified_recall(counts, 1) == pytest.approx(3 / 6)
     assert certified_recall(counts, 2) == pytest.approx(1 / 6)
     assert certified_recall([], 2) == 1.0
+    assert is_certified(np.array([0, 3, 2]), 1).tolist() == [False, True, False]
     with pytest.raises(ValueError, match="at least 0"):
         certified_recall(counts, -1)
 

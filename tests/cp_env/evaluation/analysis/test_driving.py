@@ -47,6 +47,25 @@ def test_values_are_means_over_scenes_of_all_their_episodes() -> None:
     assert row.milliseconds == pytest.approx(1000 * 0.5 / 3)
 
 
+def test_rates_of_single_episodes_have_exact_bounds() -> None:
+    """One seed a scene: 1 of 9 collides, none brakes so hard. Clopper and Pearson's bounds: 0.0028, 0.4825; 0.336."""
+    calm = replace(DRIVEN, collided=False, mdr=3.9)
+    row = driving_row([episode("a", replace(calm, collided=True)), *(episode(name, calm) for name in "bcdefghi")])
+    assert row is not None and row.collisions is not None and row.mdr_hard is not None
+    assert f"{row.collisions:.2f}" == "1 of 9 [0.00, 0.48]"
+    assert (row.collisions.low, row.collisions.high) == pytest.approx((0.0028, 0.4825), abs=1e-4)
+    assert f"{row.mdr_hard:.3f}" == "0 of 9 [0.000, 0.336]"
+
+
+def test_certified_recall_is_pooled_over_frames_and_averaged_over_scenes() -> None:
+    """Frames 2 and 3 count: 1 of 4 and 3 of 4 in scene a, so 4 of 8; none of 10 in scene b."""
+    half = replace(DRIVEN, vehicles=(9, 4, 4), certified=(9, 1, 3))
+    row = driving_row([episode("a", half), episode("b", replace(half, vehicles=(9, 5, 5), certified=(9, 0, 0)))])
+    assert row is not None and row.certified is not None and row.certified.mean == pytest.approx(0.25)
+    uncounted = driving_row([episode("a", DRIVEN)])
+    assert uncounted is not None and uncounted.certified is None
+
+
 def test_critical_ap_is_of_its_own_meter() -> None:
     meter = PooledApMeter(np.array([0.9, 0.8]), {0.5: np.array([True, False])}, 2, 3)
     row = driving_row([episode("a", DRIVEN, critical_meter=meter)])

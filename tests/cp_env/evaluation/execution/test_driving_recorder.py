@@ -36,6 +36,7 @@ def test_a_record_holds_what_the_outcomes_say() -> None:
             assert (driving.critical[t], driving.critical_missed[t]) == (there, there - found)
             assert driving.removed[t] == outcome.removed[e] <= outcome.removable[e] == driving.removable[t]
             assert driving.spoofed[t] == outcome.spoofed[e]
+            assert driving.vehicles[t] == len(outcome.truth[e]) >= driving.certified[t]
             assert driving.decodes[t] == outcome.decodes[e] > outcome.verifications[e] - 1
             meters[e].add(outcome.output[e].seen.boxes, outcome.surroundings[e])
     for record, meter in zip(records, meters, strict=True):
@@ -45,6 +46,17 @@ def test_a_record_holds_what_the_outcomes_say() -> None:
         assert record.critical_meter.n_truth == sum(record.driving.critical)
         assert len(record.driving.belief) == CONDITIONS.frames * record.n_maps
         assert Record.from_json(record.to_json()).to_json() == record.to_json()
+
+
+def test_vehicles_with_enough_witnesses_are_certified() -> None:
+    """Two attackers: five witnesses are needed. They are no part of an outcome, so without them nothing is counted."""
+    outcome = rollout("none").step()
+    recorder = driving_recorder.DrivingRecorder(5)
+    recorder.add(outcome, 0, NoDefence(), np.array([5, 4, 0, 5]))
+    assert (recorder.record().vehicles, recorder.record().certified) == ((4,), (2,))
+    uncounted = driving_recorder.DrivingRecorder(5)
+    uncounted.add(outcome, 0, NoDefence())
+    assert uncounted.record().vehicles == uncounted.record().certified == ()
 
 
 class Silent(NoDefence):

@@ -41,6 +41,18 @@ def test_shares_leave_the_grace_frames_out() -> None:
     assert RECORD.beliefs(2).tolist() == [[0.5, 0.0], [1.0, 0.25], [0.0, 0.0], [0.5, 0.5]]
 
 
+def test_certified_recall_leaves_the_grace_frames_out() -> None:
+    """Of 5 + 4 + 1 vehicles after one frame of grace 2 + 1 + 0 are certified."""
+    counted = replace(RECORD, vehicles=(6, 5, 4, 1), certified=(6, 2, 1, 0))
+    assert counted.certified_recall(1) == pytest.approx(0.3)
+    assert RECORD.certified_recall(0) is None and replace(counted, vehicles=(0,) * 4).certified_recall(0) is None
+
+
+def test_a_record_of_before_has_no_witnesses() -> None:
+    stored = {name: value for name, value in RECORD.to_json().items() if name not in ("vehicles", "certified")}
+    assert DrivingRecord.from_json(json.loads(json.dumps(stored)), 4, 2).vehicles == ()
+
+
 def test_what_cannot_be_told_is_none() -> None:
     nothing = replace(RECORD, critical=(0,) * 4, critical_missed=(0,) * 4, removable=(0,) * 4, removed=(0,) * 4)
     assert nothing.recall(1) is None and nothing.removal(1) is None
@@ -79,6 +91,10 @@ def test_it_survives_being_written_down() -> None:
         {"impact_speed": float("nan")},
         {"mean_speed": -1.0},
         {"min_time_to_collision": float("inf")},
+        {"vehicles": [5, 5, 5, 5]},
+        {"vehicles": [5, 5], "certified": [1, 1]},
+        {"vehicles": [5, 5, 5, 5], "certified": [1, 1, 6, 1]},
+        {"vehicles": [5, 5, 5, 5], "certified": [1, 1, -1, 1]},
     ],
 )
 def test_values_that_are_none_of_such_a_record(change: dict[str, Any]) -> None:
