@@ -8,6 +8,7 @@ from collections.abc import Generator, Mapping
 import numpy as np
 
 from defenders.checks import check_choice
+from defenders.prbi.first_split import even_split, independent_split
 from defenders.prbi.frame_views import FrameViews, Group, Queries, union
 from defenders.prbi.inference import check_options, estimate_attackers, posterior, round_attackers, settled
 from defenders.prbi.interpretation import ROUNDINGS, STOPPINGS, Reading
@@ -108,6 +109,7 @@ class Prbi(Defender):
         self.converged = False
         self.attackers = self.known = attackers
         self.order = self._argsort()
+        self.drawn: list[int] = []  # the first abnormal frame's order, where the reading draws one
         self.searched = False  # the divide and conquer belongs to the first abnormal frame
 
     def inspect(self, frame: Frame) -> Inspection:
@@ -146,7 +148,11 @@ class Prbi(Defender):
         """Soft sampling, Eq. (6): the ⌊m⌋ most suspicious vehicles, and the others. Empty groups are left out."""
         order = [i for i in self.order.tolist() if i in self.present]
         cut = round_attackers(self.m, self.rounding)
-        return [frozenset(part) for part in (order[:cut], order[cut:]) if part]
+        groups = order[:cut], order[cut:]
+        if self.reading.first != "m" and not self.total.any():
+            groups = (even_split if self.reading.first == "even" else independent_split)(order, self.rng)
+            self.drawn = [*groups[0], *groups[1]]
+        return [frozenset(part) for part in groups if part]
 
     def _validate(self, frame_views: FrameViews, groups: list[Group]) -> Queries:
         """Consistency validation, lines 16-18."""
@@ -178,6 +184,8 @@ class Prbi(Defender):
 
     def _flagged(self) -> Group:
         """Flagged vehicles: Eq. (13), and those convicted before."""
+        if self.reading.flagged == "zeros":
+            return self.known.union(np.flatnonzero(self.probability == 0).tolist())
         return self.known.union(self.order[: round_attackers(self.m, self.rounding)].tolist())
 
     def _is_settled(self) -> bool:
@@ -211,7 +219,7 @@ class Prbi(Defender):
         found: Group = frozenset()
         stack = sorted(failed, key=len)
         while stack and not found:
-            members = [i for i in self.order.tolist() if i in stack[-1]]
+            members = [i for i in self.drawn or self.order.tolist() if i in stack[-1]]
             stack.pop()
             if len(members) == 1:
                 continue

@@ -88,6 +88,6 @@ def check_options(*, window: int, alpha: float, gamma: float, lam: float) -> Non
     if window < 2:
         raise ValueError(f"window is the number of values a t-test needs, at least 2, got {window}")
     if not 0 < alpha < 1:
-        raise ValueError(f"alpha is a confidence level between 0 and 1, got {alpha}")
+        raise ValueError(f"alpha is a significance level between 0 and 1, got {alpha}")
     if not (gamma >= 0 and lam > 0):
         raise ValueError(f"gamma must be at least 0 and lam above 0, or nobody is ever benign; got {gamma} and {lam}")

@@ -10,6 +10,8 @@ SPLITS = ("once", "halves", "members", "replace")
 ROUNDINGS = ("floor", "nearest", "ceiling")
 MEANS = ("m", "floor")
 TIES = ("random", "index")
+FIRSTS = ("m", "even", "independent")
+FLAGGED = ("rounded", "zeros")
 STOPPINGS = ("paper", "never")
 
 
@@ -29,26 +31,20 @@ class Reading:
     mean      what the mean of the window is compared with in Eq. (14): "m" of this frame, or "floor", ⌊m⌋.
     ties      how vehicles of equal P_benign are ordered in argsort: at "random", anew in every frame, or by "index".
 
-    Under a perfect verifier, n = 5 (`python examples/reproduce/prbi_perfect.py --readings --episodes 500`), frames to
-    convergence and MC rate (benign vehicles flagged, %) at k = 1, 2, 3, 4. No attacker is missed unless marked *:
+    first     how the first abnormal frame divides the fleet, which has no P_benign yet:
+              "m"     as lines 2 and 13 say: m = n - 1, so one vehicle is apart from all others;
+              "even"  at random, at a size drawn evenly from 1 … n - 1 (Sec. 4.1: "two random groups per frame");
+              "independent"  each vehicle joins either group with probability 1/2; an empty group is left out.
+              The divide and conquer of "even" and "independent" follows the drawn order.
+    flagged   the Attackers of Eq. (13): the "rounded" m vehicles at the head of argsort, or the "zeros", all vehicles
+              of probability zero ("β_j must be 0", Sec. 4.3). They differ while `second` rounds otherwise than m.
 
-        split     refresh  second/ties frames                    MC rate, %
-        once      no       floor       3.01  3.81  3.71  3.62     0  17  20   0
-        once      yes      floor       3.01  3.74  3.75  3.19     0  17  22   0
-        halves    no       floor       3.01  3.81  3.27  2.67     0  17  22   0
-        halves    yes      floor       3.01  3.74  3.28  3.18     0  17  26   0
-        members   no       floor       3.01  3.84  3.27  2.81     0  17  22   0
-        members   yes      floor       3.01  3.95  3.36  2.38     0  17  26   0
-        replace   no       floor       3.01  4.15  4.36  4.43     0  15  18   0
-        replace   yes      floor       3.01  4.00  4.37  4.00     0  15  22   0
-        once      no       nearest *   2.57  2.81  2.59  2.48     6  18  20   0
-        once      no       ceiling *   2.19  2.09  2.00  2.14    10  26  24   0
-        once      no       by index    3.04  3.70  3.55  3.26     0  34  34   0
-        the paper                      2.25  2.77  3.36  4.27     0   6   0   0
+    What each reading does under a perfect verifier is the table "Readings" of docs/prbi.md
+    (`python examples/reproduce/prbi_perfect.py --readings`). None gives all figures of the paper. `mean` changes
+    nothing at α = 0.01: with so wide a region of acceptance the second condition decides alone.
 
-    With the second condition rounded otherwise than m itself, attackers are missed (25 to 61 %), which the paper never
-    reports. Of the others the default has the least squared distance to the paper's frames. `mean` changes nothing at
-    α = 0.01: with so wide a region of acceptance the second condition decides alone.
+    Raises:
+        ValueError: an option that is none of the above.
     """
 
     split: str = "once"
@@ -56,9 +52,13 @@ class Reading:
     second: str = "floor"
     mean: str = "m"
     ties: str = "random"
+    first: str = "m"
+    flagged: str = "rounded"
 
     def __post_init__(self) -> None:
         check_choice("split", self.split, SPLITS)
         check_choice("second", self.second, ROUNDINGS)
         check_choice("mean", self.mean, MEANS)
         check_choice("ties", self.ties, TIES)
+        check_choice("first", self.first, FIRSTS)
+        check_choice("flagged", self.flagged, FLAGGED)

@@ -11,6 +11,9 @@ from defenders.prbi.inference import round_attackers
 from defenders.prbi.interpretation import Reading
 from defenders.protocol import Query, View
 
+PUBLISHED_ONLY = ("second", "mean", "first", "flagged")
+"""Options of a `Reading` that concern the published grouping and stopping, which `RobustPrbi` replaces."""
+
 
 class RobustPrbi(Prbi):
     """Keeps the counts, m and P_benign of Algorithm 1, and stops on `group_testing.GroupTest`. Our correction.
@@ -39,7 +42,18 @@ class RobustPrbi(Prbi):
         rearm: bool = False,
         reading: Reading | None = None,
     ) -> None:
-        """Build the defender. The options are those of `Prbi`, less `stopping`."""
+        """Build the defender. The options are those of `Prbi`, less `stopping`.
+
+        Raises:
+            ValueError: If an option is out of range, or the reading is of a step that is replaced here.
+        """
+        reading = reading or Reading()
+        for name in PUBLISHED_ONLY:
+            if getattr(reading, name) != getattr(Reading(), name):
+                raise ValueError(
+                    f"robust_prbi groups and stops by group testing, so Reading({name}={getattr(reading, name)!r}) has "
+                    f"no effect in it; leave {name} out, or use 'prbi'"
+                )
         super().__init__(
             epsilon=epsilon,
             window=window,

@@ -22,6 +22,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+from cp_env.rendering import style
 from defenders import Prbi
 from defenders.simulation.world import SimulatedWorld
 
@@ -82,20 +83,21 @@ def spread(values: list[float]) -> str:
     return f"{shown[0]} ({shown[1]} … {shown[2]})"
 
 
+@style.plot_style()
 def draw(rows: list[Row], args: Args) -> None:
     panels = list(dict.fromkeys(row.panel for row in rows))
-    figure, axes = plt.subplots(2, 2, figsize=(11, 7.5), sharex=True, layout="constrained")
+    figure, axes = plt.subplots(2, 2, figsize=(style.PAGE, 5.6), sharex=True, layout="constrained")
     for axis, panel in zip(axes.flat, panels, strict=True):
         for i, row in enumerate(row for row in rows if row.panel == panel):
             axis.plot(range(1, args.frames + 1), row.m, color=f"C{i}", linewidth=1, label=f"n = {row.n}, k = {row.k}")
             axis.axhline(row.k, color=f"C{i}", linestyle=":", linewidth=0.8)
         axis.set(title=panel, xscale="log", ylabel="estimated attackers m, Eq. (9)")
-        axis.legend(fontsize="small", ncols=2, loc="upper right")
+        axis.legend(fontsize=7.5, ncols=2, loc="upper right", labelspacing=0.2, columnspacing=0.8, handlelength=1)
         axis.set_ylim(0, 1.45 * max(max(row.m[1:]) for row in rows if row.panel == panel))
     for axis in axes[1]:
         axis.set_xlabel("abnormal frames")
     figure.suptitle("m in fleets of 6 to 20 vehicles, perfect verifier (dotted: k)")
-    figure.savefig(args.out / "fleets.png", dpi=110)
+    style.save_plot(figure, args.out / "fleets.png")
     plt.close(figure)
 
 

@@ -1,4 +1,4 @@
-"""PRBI's Tables 4 and 5: attacker ratio, confidence level α and window w of the t-test (n = 5), ours and the paper's.
+"""PRBI's Tables 4 and 5: attacker ratio, significance level α and window w of the t-test (n = 5), ours and the paper's.
 
     python examples/reproduce/prbi_parameters.py              # under a perfect verifier
     python examples/reproduce/prbi_parameters.py --detector   # on the detector under PGD; goes on where it stopped
@@ -6,7 +6,8 @@
 A run lasts from the first frame of the attack to convergence, or to the end of the scene (100 frames, as in V2X-Sim).
 One that never converges counts as 99 frames. min, max: verifications of any frame. low, high: verifications of a run's
 cheapest and costliest frame, averaged over runs. mean: verifications of all frames. ID rate and MC rate: percent of the
-attackers and of the benign vehicles that are flagged, of the runs that converged. Our means have 95 % intervals.
+attackers and of the benign vehicles that are flagged, of the runs that converged. Our means have 95 % intervals over
+runs, and the share of runs that never converged has exact binomial bounds.
 
 α and w hardly matter while the second condition decides: at n = 5 most runs stop within 7 frames, where Eq. (14)
 accepts even a ramp of m (`prbi_stopping.py`). With a large α some runs never stop, and these determine the mean. The
@@ -35,8 +36,9 @@ import agents
 from cp_env import evaluation
 from cp_env.evaluation import Record
 from cp_env.metrics.identification import id_rate, mc_rate
-from cp_env.metrics.intervals import Interval, bootstrap_interval, t_interval
+from cp_env.metrics.intervals import Interval, bootstrap_interval, jackknife_interval, rate_interval, t_interval
 from cp_env.metrics.shares import share_interval
+from cp_env.rendering import style
 from cp_env.scenes import open_source
 from defenders import Prbi
 from defenders.simulation.statistics import play_many
@@ -65,6 +67,7 @@ PAPER_FRAMES = {
     4: (10.01, 9.31, 6.58, 6.51, 4.27, 4.27, 4.60, 4.57, 4.89),
 }
 PAPER_FALSE_ACCUSATION_RATE = {1: (0,) * 9, 2: (9, 8, 8, 4, 6, 6, 7, 4, 11), 3: (0,) * 9, 4: (0,) * 9}
+MANY = 100  # runs from which on the bootstrap covers: see `cp_env.metrics.intervals`
 SETTINGS = [(alpha, 10) for alpha in ALPHAS] + [(0.01, window) for window in WINDOWS]
 
 
@@ -107,12 +110,17 @@ class Row:
     frames: Interval
     identified: Interval | None  # percent; None if no run converged
     false_accusation_rate: Interval | None
-    unsettled: float  # percent of runs that did not converge
+    unsettled: Interval  # share of runs that did not converge
 
 
 def summarise(k: int, alpha: float, window: int, runs: list[Run]) -> Row:
     sums, lengths = (np.array([f(run.counts) for run in runs], dtype=float) for f in (sum, len))
     done = [run for run in runs if run.converged]
+
+    def pooled(rows: np.ndarray) -> float:
+        return float(sums[rows].sum() / lengths[rows].sum())
+
+    few = len(runs) < MANY
     return Row(
         k=k,
         alpha=alpha,
@@ -122,13 +130,13 @@ def summarise(k: int, alpha: float, window: int, runs: list[Run]) -> Row:
         most=max(max(run.counts) for run in runs),
         low=t_interval([min(run.counts) for run in runs]),
         high=t_interval([max(run.counts) for run in runs]),
-        mean=bootstrap_interval(lambda i: float(sums[i].sum() / lengths[i].sum()), len(runs), seed=0),
-        frames=t_interval(lengths),
+        mean=jackknife_interval(pooled, len(runs)) if few else bootstrap_interval(pooled, len(runs), seed=0),
+        frames=t_interval(lengths, least=0.0),
         identified=share_interval([100 * run.identified for run in done], whole=100) if done else None,
         false_accusation_rate=share_interval([100 * run.false_accusation_rate for run in done], whole=100)
         if done
         else None,
-        unsettled=100 * (1 - len(done) / len(runs)),
+        unsettled=rate_interval(len(runs) - len(done), len(runs)),
     )
 
 
@@ -199,7 +207,7 @@ def show(rows: list[Row], where: str) -> Table:
         means = [short(x, 2) for x in (row.low, row.high, row.mean, row.frames)]
         rates = [short(x, 0) for x in (row.identified, row.false_accusation_rate)]
         head = (str(row.k), f"{row.alpha:.2f}", str(row.window))
-        table.add_row(*head, "ours", str(row.least), str(row.most), *means, *rates, f"{row.unsettled:.0f}")
+        table.add_row(*head, "ours", str(row.least), str(row.most), *means, *rates, percent(row.unsettled))
         paper = published(row.k, i % len(SETTINGS))
         figures = [f"{paper[name]:.2f}" for name in ("low", "high", "mean", "frames")]
         last = [f"{paper[name]:.0f}" for name in ("identified", "false_accusation_rate")]
@@ -213,10 +221,20 @@ def short(interval: Interval | None, digits: int) -> str:
     return f"{interval.mean:.{digits}f} ± {(interval.high - interval.low) / 2:.{digits}f}"
 
 
+def percent(rate: Interval) -> str:
+    """A rate with its exact bounds, in per cent."""
+    return f"{100 * rate.mean:.0f} [{100 * rate.low:.1f}, {100 * rate.high:.1f}]"
+
+
+@style.plot_style()
 def draw(rows: list[Row], path: Path, where: str) -> None:
     """Frames to convergence and MC rate over α and w: ours with intervals, the paper's dashed."""
-    figure, axes = plt.subplots(2, 2, figsize=(10, 7), layout="constrained", sharex="col")
-    cuts = ((slice(0, len(ALPHAS)), "alpha", "confidence level α (w = 10)"), (slice(len(ALPHAS), None), "window", "w"))
+    figure, axes = plt.subplots(2, 2, figsize=(style.PAGE, 5.4), layout="constrained", sharex="col")
+    cuts = (
+        (slice(0, len(ALPHAS)), "alpha", "significance level α (w = 10)"),
+        (slice(len(ALPHAS), None), "window", "window w of the t-test, frames (α = 0.01)"),
+    )
+    colours = style.attacker_colours(N - 1)
     for k in dict.fromkeys(row.k for row in rows):
         mine = [row for row in rows if row.k == k]
         for column, (cut, name, label) in enumerate(cuts):
@@ -225,16 +243,16 @@ def draw(rows: list[Row], path: Path, where: str) -> None:
                 figures = [getattr(row, key) or Interval(np.nan, np.nan, np.nan, 0) for row in mine[cut]]
                 reach = [[f.mean - f.low for f in figures], [f.high - f.mean for f in figures]]
                 axis.errorbar(
-                    x, [f.mean for f in figures], reach, color=f"C{k - 1}", marker="o", label=f"ours, k = {k}"
+                    x, [f.mean for f in figures], reach, color=colours[k - 1], marker="o", label=f"ours, k = {k}"
                 )
                 paper = [published(k, i)[key] for i in range(len(SETTINGS))][cut]
-                axis.plot(x, paper, color=f"C{k - 1}", linestyle="--", marker="x", label=f"paper, k = {k}")
-            axes[1, column].set_xlabel(label if name == "alpha" else "window w of the t-test, frames (α = 0.01)")
+                axis.plot(x, paper, color=colours[k - 1], linestyle="--", marker="x", label=f"paper, k = {k}")
+            axes[1, column].set_xlabel(label)
     axes[0, 0].set_ylabel("frames to convergence")
     axes[1, 0].set_ylabel("MC rate (FPR), %")
     figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize="small")
     figure.suptitle(f"PRBI, n = {N}, {where}: parameters of the t-test, 95 % intervals")
-    figure.savefig(path, dpi=120)
+    style.save_plot(figure, path)
     plt.close(figure)
 
 

@@ -4,18 +4,23 @@
     python examples/reproduce/prbi_perfect.py --readings      # each reading of Algorithm 1
 
 A view is abnormal if and only if its group contains an attacker. So this is the algorithm alone, without a detector.
-The counts of the first abnormal frame agree with the paper's. Its frames to convergence are out of reach of the
-algorithm as printed. With one attacker, the first frame's groups of 4 and 1 identify it in 1 of 5 runs. The second
-frame's groups of 2 and 3 leave two candidates in all others. So a defender that misclassifies no vehicle needs at least
-0.2 · 1 + 0.8 · 3 = 2.6 frames; the paper has 2.25 at an MC rate of 0. The benign vehicles misclassified at k = 2 and 3
-are due to the second condition: while random groups keep mixing attackers with a last benign vehicle of probability
-zero, m rises past the number of zeros. min, max and mean are verifications over all frames, and first those in the
-first abnormal frame. Our minimum is 0 where ⌊m⌋ = 0: one group is empty, and the other is the full view, which is free.
+With one attacker the verdict of one group says that of the other: a frame gives one bit. So a rule that misclassifies
+nobody takes 12/5 = 2.40 frames or more on average if the attacker is drawn evenly, and 13/5 = 2.60 after a first split
+of 4 and 1; the eight rows of the paper average 2.32. The benign vehicles misclassified at k = 2 and 3 are due to the
+second condition: while random groups keep mixing attackers with a last benign vehicle of probability zero, m rises past
+the number of zeros.
+
+Columns. first: verifications in the first abnormal frame. pooled: verifications of all frames of all runs; our minimum
+is 0 where ⌊m⌋ = 0, as one group is empty, and the other is the full view, which is free. "run means" is in the paper's
+unit: the mean over runs of each run's mean, where such a frame counts 2. FPR: share of the benign vehicles that are
+flagged, and share of the runs in which one is.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 import tyro
@@ -23,11 +28,12 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from cp_env.metrics.intervals import Interval, bootstrap_interval, t_interval
+from cp_env.metrics.intervals import Interval, bootstrap_interval, rate_interval, t_interval
 from cp_env.metrics.shares import share_interval
 from defenders import Prbi, Reading
 from defenders.prbi.interpretation import SPLITS
-from defenders.simulation.world import Episode, play
+from defenders.simulation.statistics import EpisodeStats, play_many
+from defenders.simulation.world import Scenario
 
 PAPER = {  # k: verifications min, max, first frame, mean; frames to convergence; ID %, MC %
     1: (2, 2, 2.00, 2.00, 2.25, 100, 0),
@@ -35,6 +41,10 @@ PAPER = {  # k: verifications min, max, first frame, mean; frames to convergence
     3: (2, 6, 4.06, 2.61, 3.36, 100, 0),
     4: (2, 8, 5.70, 2.86, 4.27, 100, 0),
 }
+EVEN = Reading(first="even", second="nearest", ties="index", flagged="zeros")
+INDEPENDENT = Reading(split="replace", first="independent", second="nearest", ties="index")
+T = TypeVar("T")
+MAX_FRAMES = 99  # a scene of 100, of which the first is benign
 
 
 @dataclass
@@ -42,7 +52,7 @@ class Args:
     episodes: int = 4000
     """episodes for each number of attackers"""
     seed: int = 0
-    """seed of the first episode; the others count on from it"""
+    """seed of the episodes"""
     n: int = 5
     """vehicles"""
     readings: bool = False
@@ -52,83 +62,158 @@ class Args:
 
 
 @dataclass(frozen=True)
+class Variant:
+    """A reading, how m is rounded when vehicles are grouped, and where the attackers stand."""
+
+    label: str
+    reading: Reading
+    rounding: str = "floor"
+    in_front: bool = False
+    """whether the attackers are the vehicles 0 … k - 1, the ego first, or drawn"""
+
+
+@dataclass(frozen=True)
 class Figures:
-    """The figures of one number of attackers."""
+    """The figures of one number of attackers; those of flagged vehicles, and the frames, are of runs that converged."""
 
     least: int
     most: int
     first: Interval  # verifications in the first abnormal frame
-    mean: Interval  # verifications a frame, over all frames
+    pooled: Interval  # verifications a frame, over all frames
+    run_means: Interval  # mean over runs of a run's mean; a frame that costs nothing counts 2
     frames: Interval  # to convergence
     identified: Interval  # share of the attackers that are flagged
     false_accusation_rate: Interval  # share of the benign vehicles that are flagged
-    unsettled: float  # share of episodes that never converged
+    misclassified_runs: Interval  # share of the runs in which a benign vehicle is flagged
+    unsettled: Interval  # share of the runs that never converged
 
 
-def measure(args: Args, k: int, reading: Reading) -> Figures:
-    seeds = track(range(args.seed, args.seed + args.episodes), f"k = {k}", transient=True)
-    played = [play(Prbi(reading=reading, stopping=args.stopping), args.n, k, seed) for seed in seeds]
-    done = [episode for episode in played if episode.converged]
-    if not done:
+def variants() -> list[Variant]:
+    """Readings of the lines one by one, those in which m is rounded, and the two that come nearest to the paper."""
+    plain = [(split, refresh) for split in SPLITS for refresh in (False, True)]
+    return [
+        *(
+            Variant(f"split: {split}{', refresh' if refresh else ''}", Reading(split, refresh))
+            for split, refresh in plain
+        ),
+        Variant("ties by index", Reading(ties="index")),
+        Variant("second condition: nearest", Reading(second="nearest")),
+        Variant("second condition: ceiling", Reading(second="ceiling")),
+        Variant("second condition: nearest, zeros flagged", Reading(second="nearest", flagged="zeros")),
+        Variant("even, attackers in front", EVEN, in_front=True),
+        Variant("even, attackers drawn", EVEN),
+        Variant("independent, nearest everywhere, attackers in front", INDEPENDENT, "nearest", in_front=True),
+        Variant("independent, nearest everywhere, attackers drawn", INDEPENDENT, "nearest"),
+    ]
+
+
+def measure(args: Args, k: int, variant: Variant) -> Figures:
+    defender = Prbi(reading=variant.reading, rounding=variant.rounding, stopping=args.stopping)
+    benign = range(k, args.n) if variant.in_front else ()
+    scenario = Scenario(n_vehicles=args.n, n_attackers=k, benign=benign, max_frames=MAX_FRAMES)
+    stats = play_many(defender, scenario, episodes=args.episodes, seed=args.seed)
+    done = np.flatnonzero(stats.converged)
+    if not len(done):
         raise SystemExit(f"no episode converged with n = {args.n}, k = {k}")
-    counts = np.array([sum(episode.verifications) for episode in done])
-    frames = np.array([len(episode.results) for episode in done])
+    totals, misclassified = np.maximum(stats.verifications, 0).sum(1)[done], stats.false_accusation_rate[done]
+    frames = stats.frames[done]
     return Figures(
-        least=min(min(episode.verifications) for episode in played),
-        most=max(max(episode.verifications) for episode in played),
-        first=t_interval([episode.verifications[0] for episode in played]),
-        mean=bootstrap_interval(lambda i: float(counts[i].sum() / frames[i].sum()), len(done), seed=args.seed),
+        least=int(stats.all_verifications.min()),
+        most=int(stats.all_verifications.max()),
+        first=t_interval(stats.first),
+        pooled=bootstrap_interval(lambda i: float(totals[i].sum() / frames[i].sum()), len(done), seed=args.seed),
+        run_means=t_interval(run_means(stats)[done]),
         frames=t_interval(frames),
-        identified=share_interval([100 * share(episode, attackers=True) for episode in done], whole=100),
-        false_accusation_rate=share_interval([100 * share(episode, attackers=False) for episode in done], whole=100),
-        unsettled=1 - len(done) / len(played),
+        identified=share_interval(100 * stats.identified[done], whole=100),
+        false_accusation_rate=share_interval(100 * misclassified, whole=100),
+        misclassified_runs=rate_interval(int((misclassified > 0).sum()), len(done)),
+        unsettled=rate_interval(args.episodes - len(done), args.episodes),
     )
 
 
-def share(episode: Episode, *, attackers: bool) -> float:
-    """Share of the attackers, or of the benign vehicles, that are flagged."""
-    n = len(episode.suspects | episode.results[-1].verdict.collaborators)
-    counted = episode.attackers if attackers else frozenset(range(n)) - episode.attackers
-    return len(counted & episode.suspects) / len(counted)
+def run_means(stats: EpisodeStats) -> np.ndarray:
+    """Each run's mean verifications, [episodes]; a frame in which one group was empty counts 2, as in the paper."""
+    played = stats.verifications >= 0
+    means: np.ndarray = np.where(played, np.maximum(stats.verifications, 2), 0).sum(1) / played.sum(1)
+    return means
 
 
 def paper_table(args: Args) -> Table:
     title = f"PRBI, perfect verifier, n = {args.n}, {args.episodes} episodes a row, 95 % intervals"
-    table = Table("k", "", "min", "max", "first", "mean", "frames", "TPR %", "FPR %", "not conv. %", title=title)
-    for k in range(1, args.n):
-        ours = measure(args, k, Reading())
-        row = [short(x, 2) for x in (ours.first, ours.mean, ours.frames)] + [
-            short(ours.identified),
-            short(ours.false_accusation_rate),
-        ]
-        table.add_row(str(k), "ours", str(ours.least), str(ours.most), *row, f"{100 * ours.unsettled:.0f}")
+    heads = (
+        "k",
+        "",
+        "min",
+        "max",
+        "first",
+        "pooled",
+        "run means",
+        "frames",
+        "TPR %",
+        "FPR %",
+        "FPR, runs %",
+        "not conv.",
+    )
+    table = Table(*heads, title=title)
+    for k in progress(range(1, args.n)):
+        ours = measure(args, k, Variant("ours", Reading()))
+        counts = [short(x, 2) for x in (ours.first, ours.pooled, ours.run_means, ours.frames)]
+        rates = [short(ours.identified), short(ours.false_accusation_rate), percent(ours.misclassified_runs)]
+        table.add_row(str(k), "ours", str(ours.least), str(ours.most), *counts, *rates, percent(ours.unsettled))
         if args.n == 5:
-            least, most, first, mean, frames, *rates = PAPER[k]
-            figures = [f"{x:.2f}" for x in (first, mean, frames)]
-            table.add_row("", "paper", str(least), str(most), *figures, *map(str, rates), "", end_section=True)
+            least, most, first, mean, frames, tpr, fpr = PAPER[k]
+            cells = [str(least), str(most), f"{first:.2f}", "", f"{mean:.2f}", f"{frames:.2f}", str(tpr), str(fpr)]
+            table.add_row("", "paper", *cells, end_section=True)
     return table
+
+
+def progress(items: Sequence[T]) -> Iterable[T]:
+    return track(items, "playing", transient=True, console=Console(stderr=True))
 
 
 def short(interval: Interval, digits: int = 0) -> str:
     return f"{interval.mean:.{digits}f} ± {(interval.high - interval.low) / 2:.{digits}f}"
 
 
-def all_readings(args: Args) -> Table:
-    readings = [Reading(split, refresh) for split in SPLITS for refresh in (False, True)]
-    readings += [Reading(second="nearest"), Reading(second="ceiling"), Reading(ties="index")]
-    columns = ("split", "refresh", "second", "ties", *(f"k = {k}" for k in range(1, args.n)))
-    table = Table(*columns, title=f"frames · TPR % · FPR %, {args.episodes} episodes a cell")
-    for reading in readings:
-        cells = [measure(args, k, reading) for k in range(1, args.n)]
-        row = [f"{c.frames.mean:.2f} · {c.identified.mean:.0f} · {c.false_accusation_rate.mean:.0f}" for c in cells]
-        table.add_row(reading.split, str(reading.refresh), reading.second, reading.ties, *row)
+def percent(rate: Interval) -> str:
+    """A rate with its exact bounds, in per cent."""
+    return f"{100 * rate.mean:.0f} [{100 * rate.low:.1f}, {100 * rate.high:.1f}]"
+
+
+COLUMNS: dict[str, tuple[Callable[[Figures], float], int, int | None]] = {
+    "frames": (lambda c: c.frames.mean, 2, 4),
+    "run means": (lambda c: c.run_means.mean, 2, 3),
+    "first": (lambda c: c.first.mean, 2, 2),
+    "FPR %": (lambda c: c.false_accusation_rate.mean, 0, 6),
+    "FPR, runs %": (lambda c: 100 * c.misclassified_runs.mean, 0, None),
+    "TPR %": (lambda c: c.identified.mean, 0, 5),
+}
+"""A column of the readings: its value, digits, and where it stands in `PAPER`."""
+
+
+def all_readings(args: Args) -> Iterator[str]:
+    """A Markdown table: a row for each reading, and in each cell the figures at k = 1, 2, ..."""
+    ks = range(1, args.n)
+    yield f"{args.episodes} episodes a cell; in every cell k = {', '.join(map(str, ks))}\n"
+    yield "| reading | " + " | ".join(COLUMNS) + " |\n|---|" + "---|" * len(COLUMNS)
+    for variant in progress(variants()):
+        cells = [measure(args, k, variant) for k in ks]
+        row = [" ".join(f"{value(c):.{digits}f}" for c in cells) for value, digits, _ in COLUMNS.values()]
+        yield f"| {variant.label} | " + " | ".join(row) + " |"
     if args.n == 5:
-        table.add_row("paper", "", "", "", *(f"{PAPER[k][4]:.2f} · {PAPER[k][5]} · {PAPER[k][6]}" for k in PAPER))
-    return table
+        row = [
+            "" if place is None else " ".join(f"{PAPER[k][place]:.{digits}f}" for k in PAPER)
+            for _, digits, place in COLUMNS.values()
+        ]
+        yield "| the paper | " + " | ".join(row) + " |"
 
 
 def main(args: Args) -> None:
-    Console(width=120).print(all_readings(args) if args.readings else paper_table(args))
+    if args.readings:
+        for line in all_readings(args):
+            print(line, flush=True)
+    else:
+        Console(width=160).print(paper_table(args))
 
 
 if __name__ == "__main__":

@@ -31,6 +31,7 @@ from cp_env.detector import load_detector
 from cp_env.evaluation.plan.files import write_atomically
 from cp_env.metrics.intervals import t_interval
 from cp_env.metrics.shares import share_interval
+from cp_env.rendering import style
 from cp_env.scenes import open_source
 from cp_env.world.scene_cache import SceneBank
 from cp_env.world.world import World
@@ -131,15 +132,14 @@ def show(runs: list[Run], where: str) -> Table:
     return table
 
 
+@style.plot_style()
 def draw(runs: list[Run], path: Path, where: str) -> None:
     ks = list(dict.fromkeys(run.k for run in runs))
-    figure, axes = plt.subplots(
-        1, len(ks), figsize=(3.4 * len(ks), 4), sharey=True, squeeze=False, layout="constrained"
-    )
+    figure, axes = plt.subplots(1, len(ks), figsize=(style.PAGE, 2.9), sharey=True, squeeze=False, layout="constrained")
     for axis, k in zip(axes[0], ks, strict=True):
         mine = [run for run in runs if run.k == k]
         frames = range(1, len(mine[0].belief) + 1)
-        for kind, colour in (("attackers", "C3"), ("benign vehicles", "C0")):
+        for kind, colour in (("attackers", style.VERMILLION), ("benign vehicles", style.BLUE)):
             rows = [[i for i in range(N) if (i in run.attackers) == (kind == "attackers")] for run in mine]
             values = np.concatenate(
                 [100 * np.array(run.belief)[:, i] for run, i in zip(mine, rows, strict=True)], axis=1
@@ -149,9 +149,9 @@ def draw(runs: list[Run], path: Path, where: str) -> None:
             axis.plot([], [], color=colour, label=kind)
         axis.set(title=f"k = {k}", xlabel="frames of attack", ylim=(-3, 103))
     axes[0, 0].set_ylabel("attack probability, 1 − P_benign, %")
-    axes[0, 0].legend(loc="center right")
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=2)
     figure.suptitle(f"PRBI's belief, n = {N}, {where}")
-    figure.savefig(path, dpi=110)
+    style.save_plot(figure, path)
     plt.close(figure)
 
 

@@ -22,6 +22,7 @@ from rich.progress import track
 from rich.table import Table
 
 from cp_env.metrics.intervals import Interval, t_interval
+from cp_env.rendering import style
 from defenders import Prbi
 from defenders.prbi.interpretation import ROUNDINGS
 from defenders.simulation.world import SimulatedWorld
@@ -70,18 +71,21 @@ def measure(args: Args, rounding: str, k: int) -> Row:
     return Row(rounding, k, limit(rounding, args.n, k), late, float(abs(runs[:, 10:] - k).max()), runs[0].tolist())
 
 
+@style.plot_style()
 def draw(rows: list[Row], args: Args) -> None:
-    figure, axes = plt.subplots(1, 3, figsize=(13, 4.8), sharey=True, layout="constrained")
+    figure, axes = plt.subplots(1, 3, figsize=(style.PAGE, 3.4), sharey=True, layout="constrained")
     for axis, rounding in zip(axes, ROUNDINGS, strict=True):
         for row in (row for row in rows if row.rounding == rounding):
-            axis.plot(range(1, args.frames + 1), row.m, color=f"C{row.k - 1}", linewidth=1, label=f"m, k = {row.k}")
-            axis.axhline(row.limit, color=f"C{row.k - 1}", linestyle="--", linewidth=1)
+            colour = style.attacker_colours(args.n - 1)[row.k - 1]
+            axis.plot(range(1, args.frames + 1), row.m, color=colour, linewidth=1, label=f"m, k = {row.k}")
+            axis.axhline(row.limit, color=colour, linestyle="--", linewidth=1)
         axis.set(title=rounding, xlabel="abnormal frames")
     axes[0].set_ylabel("estimated attackers m, Eq. (9)")
-    axes[0].legend(loc="upper right", fontsize="small", ncols=2, title="dashed: Theorem 2")
-    axes[0].set_ylim(-0.2, args.n + 0.8)
+    axes[0].plot([], [], color=style.GREY, linestyle="--", linewidth=1, label="Theorem 2")
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=args.n)
+    axes[0].set_ylim(-0.2, args.n - 0.6)
     figure.suptitle(f"m under three roundings, n = {args.n}, perfect verifier")
-    figure.savefig(args.out / "rounding.png", dpi=110)
+    style.save_plot(figure, args.out / "rounding.png")
     plt.close(figure)
 
 

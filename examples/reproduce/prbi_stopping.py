@@ -13,6 +13,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -21,6 +22,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+from cp_env.rendering import style
 from defenders import Prbi, RobustPrbi
 from defenders.prbi.inference import upper_quantile
 from defenders.simulation.statistics import play_many
@@ -113,16 +115,18 @@ def trace(args: Args) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return m, zeros, t
 
 
+@style.plot_style()
 def draw(args: Args, m: np.ndarray, second: np.ndarray, statistic: np.ndarray, quantile: float) -> None:
-    figure, (top, bottom) = plt.subplots(2, 1, figsize=(10, 6), sharex=True, layout="constrained")
+    figure, (top, bottom) = plt.subplots(2, 1, figsize=(style.PAGE, 4.4), sharex=True, layout="constrained")
     frame = np.arange(1, len(m) + 1)
-    top.plot(frame, m, marker=".", markersize=3, color="C0", label="m, Eq. (9)")
-    top.axhline(args.k, color="grey", linewidth=1, label=f"k = {args.k}")
-    top.plot(frame[second], m[second], "o", fillstyle="none", color="C3", label="⌊m⌋ = vehicles of probability zero")
+    top.plot(frame, m, marker=".", markersize=3, color=style.BLUE, label="m, Eq. (9)")
+    top.axhline(args.k, color=style.GREY, linewidth=1, label=f"k = {args.k}")
+    mark: dict[str, Any] = {"fillstyle": "none", "color": style.VERMILLION}
+    top.plot(frame[second], m[second], "o", label="⌊m⌋ = vehicles of probability zero", **mark)
     top.set_ylabel("estimated attackers m")
     top.set_ylim(args.k - 1.5, args.k + 1.0)
-    bottom.plot(frame, statistic, marker=".", markersize=3, color="C0", label="|mean of W − m| / (S / √w)")
-    bottom.plot(frame[second], statistic[second], "o", fillstyle="none", color="C3")
+    bottom.plot(frame, statistic, marker=".", markersize=3, color=style.BLUE, label="|mean of W − m| / (S / √w)")
+    bottom.plot(frame[second], statistic[second], "o", **mark)
     bottom.axhline(quantile, color="black", linestyle="--", label=f"accepted below t = {quantile:.2f}")
     bottom.set_ylabel("statistic of Eq. (14)")
     bottom.set_xlabel("abnormal frames")
@@ -133,7 +137,7 @@ def draw(args: Args, m: np.ndarray, second: np.ndarray, statistic: np.ndarray, q
         f"Why the published rule does not stop: n = {args.n}, k = {args.k}, w = {args.window}, α = {args.alpha}"
     )
     args.out.mkdir(parents=True, exist_ok=True)
-    figure.savefig(args.out / "stopping.png", dpi=110)
+    style.save_plot(figure, args.out / "stopping.png")
     plt.close(figure)
     print("written:", args.out / "stopping.png")
 

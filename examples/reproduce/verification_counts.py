@@ -16,7 +16,7 @@ from __future__ import annotations
 import itertools
 import json
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -27,7 +27,7 @@ from rich.progress import track
 from rich.table import Table
 
 import defenders
-from cp_env.metrics.intervals import Interval, bootstrap_interval
+from cp_env.metrics.intervals import Interval, bootstrap_interval, jackknife_interval
 from defenders.pasac import halves
 from defenders.simulation.statistics import play_many
 from defenders.simulation.world import Scenario
@@ -40,6 +40,7 @@ PAPER = {  # of n = 5, k = 1 … 4: least, most, mean
     "PRBI, all frames": ((2, 2, 2.00), (2, 4, 2.35), (2, 6, 2.61), (2, 8, 2.86)),
 }
 ROUND = 100  # frames with the same attackers, where every frame counts as an episode
+MANY = 100  # episodes from which on the bootstrap covers: see `cp_env.metrics.intervals`
 MOST_FRAMES = 200  # for PRBI to converge
 COLOURS = dict(zip(ROWS, ("tab:orange", "tab:green", "tab:blue", "tab:purple"), strict=True))
 
@@ -124,7 +125,14 @@ def mean(counts: np.ndarray, seed: int) -> Interval:
     """Mean over all frames; the interval is over episodes, because the frames of one are similar."""
     played = counts >= 0
     totals, frames = np.where(played, counts, 0).sum(axis=1), played.sum(axis=1)
-    return bootstrap_interval(lambda i: float(totals[i].sum() / frames[i].sum()), len(counts), seed=seed)
+
+    def of(rows: np.ndarray) -> float:
+        return float(totals[rows].sum() / frames[rows].sum())
+
+    if len(counts) >= MANY:
+        return bootstrap_interval(of, len(counts), seed=seed)
+    found = jackknife_interval(of, len(counts))
+    return replace(found, low=max(found.low, 0.0))
 
 
 def exact(row: str, n: int, k: int) -> float | None:

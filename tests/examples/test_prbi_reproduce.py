@@ -39,7 +39,8 @@ def test_a_run_on_the_detector_ends_with_convergence() -> None:
 def test_a_row_of_tables_4_and_5() -> None:
     runs = [prbi_parameters.Run([4, 2, 2], True, 1.0, 0.5), prbi_parameters.Run([2] * 5, False, 0.0, 0.0)]
     row = prbi_parameters.summarise(2, 0.2, 10, runs)
-    assert (row.least, row.most, row.unsettled) == (2, 4, 50)
+    assert (row.least, row.most, row.unsettled.mean) == (2, 4, 0.5)
+    assert (row.unsettled.low, row.unsettled.high) == pytest.approx((0.0126, 0.9874), abs=1e-4)  # 1 of 2, exactly
     assert (row.low.mean, row.high.mean, row.mean.mean, row.frames.mean) == (2, 3, 18 / 8, 4)
     assert row.identified is not None and row.false_accusation_rate is not None
     assert (row.identified.mean, row.false_accusation_rate.mean) == (100, 50)  # of those that converged
