@@ -27,6 +27,7 @@ from agents.calibration.samples import Samples, errors, pooled
 from agents.commands.common import Victim
 from cp_env.metrics.shares import share_interval
 from cp_env.progress import track
+from cp_env.rendering import style
 from cp_env.scenes import open_source
 from cp_env.world.scene_cache import SceneBank
 
@@ -59,28 +60,37 @@ def table(score: str, found: Samples, epsilon: dict[int, float], args: Args) -> 
     return shown
 
 
+@style.plot_style()
 def draw(found: dict[str, Samples], epsilon: dict[str, dict[int, float]], args: Args) -> Path:
+    """Histograms by score and size of the group, on an axis of square roots."""
     sizes = range(2, args.n_vehicles + 1)
-    figure, grid = plt.subplots(len(PAPER), len(sizes), figsize=(3.2 * len(sizes), 6.5), layout="constrained")
-    colours = plt.get_cmap("viridis")(np.linspace(0, 0.9, args.n_vehicles))
+    figure, grid = plt.subplots(
+        len(PAPER),
+        len(sizes),
+        figsize=(style.PAGE, 4.6),
+        sharex="row",
+        sharey=True,
+        squeeze=False,
+        layout="constrained",
+    )
+    colours = [style.BLUE, *style.attacker_colours(args.n_vehicles - 1)]
     for (score, by_key), row in zip(found.items(), grid, strict=True):
         edges = np.linspace(0, max(pooled(by_key, key).max() for key in by_key) * 1.02, 26)
         for size, axis in zip(sizes, row, strict=True):
             for k in range(args.n_vehicles):
                 if (size, k) in by_key:
                     values = pooled(by_key, (size, k))
-                    axis.hist(
-                        values, edges, density=True, histtype="step", lw=1.8, color=colours[k], label=f"{k} attackers"
-                    )
-            axis.axvline(PAPER[score], color="grey", ls=":", label="as published")
-            axis.axvline(epsilon[score][size], color="crimson", ls="--", label="calibrated")
-            axis.set(title=f"the ego and {size - 1} more", xlabel=f"{score} to the ego-only view")
-        row[0].set_ylabel("density")
+                    share, label = np.full(len(values), 1 / len(values)), f"{k} attackers"
+                    axis.hist(values, edges, weights=share, histtype="step", lw=1.6, color=colours[k], label=label)
+            axis.axvline(PAPER[score], color=style.GREY, ls=":", label="as published")
+            axis.axvline(epsilon[score][size], color=style.BLACK, ls="--", lw=1.2, label="calibrated")
+            axis.set(title=f"the ego and {size - 1} more", xlabel=score)
+            style.share_axis(axis)
+        row[0].set_ylabel("share of the groups")
     handles, labels = grid[-1, -1].get_legend_handles_labels()  # the panel that has every number of attackers
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), fontsize=9)
-    args.out.mkdir(parents=True, exist_ok=True)
-    path = args.out / f"ego_only-{args.fusion}.png"
-    figure.savefig(path, dpi=110)
+    figure.legend(handles, labels, loc="outside lower center", ncols=4)
+    path = style.save_plot(figure, args.out / f"ego_only-{args.fusion}.png")
+    plt.close(figure)
     return path
 
 

@@ -21,13 +21,15 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 
 from cp_env.geometry.planar import compose, corners, invert
+from cp_env.rendering import style
 from cp_env.scenes import Town, open_source
 from cp_env.scenes.export import export
 from cp_env.types import Scene, Sweep
 
 REACH = 40.0  # m, drawn to each side
 APART = 15.0  # m; of vehicles closer than that, only the first shows its axes
-COLOURS = ("tab:blue", "tab:orange", "tab:green", "tab:red", "tab:purple")
+COLOURS = (style.BLUE, style.ORANGE, style.GREEN, style.PURPLE, style.SKY)
+AHEAD, LEFT = style.VERMILLION, style.BLUE  # the x and the y axis
 
 
 @dataclass(frozen=True)
@@ -47,8 +49,8 @@ def draw_boxes(ax: Axes, boxes: Float[np.ndarray, "M 5"], colour: str) -> None:
 
 
 def draw_axes(ax: Axes, pose: Float[np.ndarray, "3"], length: float, name: str) -> None:
-    """The x axis in red, the y axis in green, of a frame standing at `pose`."""
-    for turn, colour, axis in ((0.0, "red", "x"), (np.pi / 2, "green", "y")):
+    """The x axis in orange, the y axis in blue, of a frame standing at `pose`."""
+    for turn, colour, axis in ((0.0, AHEAD, "x"), (np.pi / 2, LEFT, "y")):
         x, y = length * np.cos(pose[2] + turn), length * np.sin(pose[2] + turn)
         ax.annotate(
             "",
@@ -63,7 +65,9 @@ def draw_axes(ax: Axes, pose: Float[np.ndarray, "3"], length: float, name: str) 
 def write(ax: Axes, x: float, y: float, text: str, colour: str) -> None:
     """A word on a white ground, cut off at the edge of the picture."""
     ground = {"boxstyle": "round,pad=0.15", "fc": "white", "ec": "none", "alpha": 0.85}
-    ax.text(x, y, text, color=colour, ha="center", va="center", weight="bold", bbox=ground, zorder=5, clip_on=True)
+    ax.text(
+        x, y, text, color=colour, ha="center", va="center", weight="bold", size=8, bbox=ground, zorder=5, clip_on=True
+    )
 
 
 def boxes_of(scene: Scene, frame: int) -> Float[np.ndarray, "M 5"]:
@@ -96,7 +100,7 @@ def draw_sensor(ax: Axes, scene: Scene, frame: int, sweep: Sweep) -> None:
     cos, sin = np.cos(world_T_sensor[2]), np.sin(world_T_sensor[2])
     own = sweep.points[:, :2] @ np.array([[cos, -sin], [sin, cos]])
     shown = ax.scatter(own[:, 0], own[:, 1], s=0.6, c=sweep.points[:, 2], cmap="viridis", vmin=0, vmax=4, linewidths=0)
-    ax.figure.colorbar(shown, ax=ax, label="height above ground, m", shrink=0.8)
+    ax.figure.colorbar(shown, ax=ax, label="height above ground, m", location="bottom", shrink=0.8)
     boxes = boxes_of(scene, frame)
     pose = compose(np.broadcast_to(invert(world_T_sensor), (len(boxes), 3)), boxes[:, [0, 1, 4]])
     draw_boxes(ax, np.column_stack([pose[:, :2], boxes[:, 2:4], pose[:, 2]]), "black")
@@ -116,12 +120,14 @@ def main(args: Args) -> None:
         source = open_source(spec)
         scene = source.load(source.names()[0])
         (sweeps,) = source.sweeps(scene, [args.frame])
-    figure, (left, right) = plt.subplots(1, 2, figsize=(14, 6.6), layout="constrained")
-    draw_world(left, scene, args.frame, sweeps)
-    draw_sensor(right, scene, args.frame, sweeps[0])
-    for ax in (left, right):
-        ax.set_aspect("equal")
-    figure.savefig(args.out, dpi=110)
+    with style.plot_style():
+        figure, (left, right) = plt.subplots(1, 2, figsize=(style.PAGE, 4.2), layout="compressed")
+        draw_world(left, scene, args.frame, sweeps)
+        draw_sensor(right, scene, args.frame, sweeps[0])
+        for ax in (left, right):
+            ax.set_aspect("equal")
+            ax.grid(False)
+        style.save_plot(figure, args.out)
     print(f"{args.out}: scene {scene.name} of {source.name}, frame {args.frame}")
 
 

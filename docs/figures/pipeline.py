@@ -19,8 +19,9 @@ import tyro
 from matplotlib.axes import Axes
 from matplotlib.patches import FancyBboxPatch, Rectangle
 
-BLUE, VERMILLION, GREEN, PURPLE = "#0072B2", "#D55E00", "#009E73", "#CC79A7"  # Okabe and Ito
-INK, GREY, PANEL = "#1A1A1A", "#6B6B6B", "#F3F5F7"
+from cp_env.rendering.style import BLACK, BLUE, GREEN, GREY, PURPLE, VERMILLION
+
+INK, PANEL = BLACK, "#F3F5F7"
 STYLE: dict[Any, Any] = {
     "font.family": "DejaVu Sans",
     "font.size": 8.6,

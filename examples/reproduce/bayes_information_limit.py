@@ -17,6 +17,7 @@ import time
 from dataclasses import dataclass
 from math import comb, log2
 from pathlib import Path
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -26,8 +27,11 @@ from rich.progress import track
 from rich.table import Table
 
 from cp_env.metrics.intervals import Interval, t_interval
+from cp_env.rendering import style
 from defenders import Bayes
 from defenders.simulation.world import Episode, play
+
+LIMIT = "information limit: log2(n C(n, k)) / 2"
 
 
 @dataclass
@@ -76,26 +80,28 @@ def counts(n: int, most: int) -> list[int]:
     return sorted(set(np.linspace(1, n - 1, min(most, n - 1)).round().astype(int).tolist()))
 
 
+@style.plot_style()
 def draw(rows: list[Row], args: Args) -> Path:
-    figure, axes = plt.subplots(1, len(args.n), figsize=(3.6 * len(args.n), 3.6), layout="constrained", squeeze=False)
-    for n, axis in zip(args.n, axes[0], strict=True):
+    """A panel for each number of vehicles: what `bayes` takes, beside the information in the answers."""
+    lines = -(-len(args.n) // 2)
+    figure = plt.figure(figsize=(style.PAGE, 0.7 + 2.1 * lines), layout="constrained")
+    axes = figure.subplots(lines, 2, squeeze=False).flat
+    for n, axis in zip(args.n, axes, strict=False):
         mine = [row for row in rows if row.n == n]
-        k = [row.k for row in mine]
         means = np.array([row.frames.mean for row in mine])
-        spread = np.array([[row.frames.mean - row.frames.low, row.frames.high - row.frames.mean] for row in mine]).T
+        reach = np.array([[row.frames.mean - row.frames.low, row.frames.high - row.frames.mean] for row in mine]).T
         every = np.arange(1, n)
-        axis.errorbar(k, means, yerr=spread, fmt="o-", capsize=3, label="bayes, to 99 %")
-        axis.axhline(n / 2, color="grey", ls="--", label="limit, n / 2")
-        axis.axhline(1.3 * n / 2, color="grey", ls=":", label="1.3 times the limit")
-        axis.plot(
-            every, [log2(n * comb(n, int(i))) / 2 for i in every], color="crimson", lw=1, label="log2(n C(n, k)) / 2"
-        )
-        axis.set(title=f"{n} vehicles", xlabel="attackers", ylim=(0, None))
+        bits = [log2(n * comb(n, int(k))) for k in every]
+        axis.plot(every, np.array(bits) / 2, color=style.BLACK, ls="--", lw=1.2, label=LIMIT)
+        line: dict[str, Any] = {"color": style.DEFENDERS["bayes"], "capsize": 3, "ms": 5}
+        axis.errorbar([row.k for row in mine], means, yerr=reach, fmt="o-", **line, label="bayes, to 99 % certainty")
+        axis.set(title=f"{n} vehicles", xlabel="attackers", ylabel="frames of attack", ylim=(0, None))
         axis.xaxis.get_major_locator().set_params(integer=True)
-    axes[0, 0].set_ylabel("frames of attack")
-    axes[0, 0].legend(fontsize=7, loc="lower right")
-    path = args.out / "information_limit.png"
-    figure.savefig(path, dpi=110)
+    for axis in axes[len(args.n) :]:
+        axis.set_axis_off()
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
+    path = style.save_plot(figure, args.out / "information_limit.png")
+    plt.close(figure)
     return path
 
 

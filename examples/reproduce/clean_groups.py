@@ -31,6 +31,8 @@ from jaxtyping import Bool, Float
 from rich.console import Console
 from rich.table import Table
 
+from cp_env.rendering import style
+
 SPLITS = ("independent", "half", "even")
 PAPER = {
     1: (0.484, 0.500, 40, 0.491),
@@ -98,12 +100,13 @@ def settled(eta: Float[np.ndarray, "E T"], target: float, band: float) -> Float[
     return np.where(outside.any(axis=1), eta.shape[1] - outside[:, ::-1].argmax(axis=1), 0) + 1.0
 
 
+@style.plot_style()
 def main(args: Args) -> None:
     title = f"share of verifications at random groups that are normal, n = {args.n}, {args.episodes} episodes"
     table = Table("k", "Eq. (3)", "2^-k", "split", "limit", "η [95 % of episodes]", "frames", title=title)
-    figure, axes = plt.subplots(1, len(SPLITS), figsize=(12, 4), sharey=True, layout="constrained")
+    figure, axes = plt.subplots(1, len(SPLITS), figsize=(style.PAGE, 3.3), sharey=True, layout="constrained")
     frames = np.arange(1, args.frames + 1)
-    colours = plt.get_cmap("viridis")(np.linspace(0, 0.85, args.n - 1))
+    colours = style.attacker_colours(args.n - 1)
     for k in range(1, args.n):
         ideal, approximate = (2 ** (args.n - k) - 1) / (2**args.n - 1), 2.0**-k
         horizon = PAPER[k][2] if args.n == 5 else 40
@@ -115,21 +118,21 @@ def main(args: Args) -> None:
             head = (str(k), f"{ideal:.3f}", f"{approximate:.3f}") if split == "independent" else ("", "", "")
             table.add_row(*head, split, *cells, "{:.0f} [{:.0f}, {:.0f}]".format(*wait))
             low_band, high_band = np.quantile(eta, [0.05, 0.95], axis=0)
-            axis.fill_between(frames, low_band, high_band, color=colours[k - 1], alpha=0.25, lw=0)
+            axis.fill_between(frames, low_band, high_band, color=colours[k - 1], alpha=0.22, lw=0)
             axis.plot(frames, eta.mean(axis=0), color=colours[k - 1], label=f"k = {k}")
             axis.axhline(approximate, color=colours[k - 1], ls=":", lw=1)
             if args.n == 5:
-                axis.plot(PAPER[k][2], PAPER[k][3], "x", color=colours[k - 1], ms=9, mew=2.5)
+                axis.plot(PAPER[k][2], PAPER[k][3], "x", color=colours[k - 1], ms=7, mew=2)
         if args.n == 5:
             table.add_row("", "", "", "paper", "", f"{PAPER[k][3]:.3f}", str(PAPER[k][2]), end_section=True)
     for split, axis in zip(SPLITS, axes, strict=True):
         axis.set(title=split, xlabel="frames", xlim=(1, min(100, args.frames)), ylim=(0, 0.7))
-    axes[0].set_ylabel("η: share of verifications that were normal")
-    axes[-1].plot([], [], "k:", lw=1, label="2^-k")
-    axes[-1].plot([], [], "x", color="grey", ms=9, mew=2.5, label="the paper's")
-    figure.legend(*axes[-1].get_legend_handles_labels(), loc="outside right center", fontsize=9)
-    args.out.mkdir(parents=True, exist_ok=True)
-    figure.savefig(args.out / "clean_groups.png", dpi=110)
+    axes[0].set_ylabel("η: share of normal verifications")
+    axes[-1].plot([], [], "k:", lw=1, label="$2^{-k}$")
+    axes[-1].plot([], [], "x", color=style.GREY, ms=7, mew=2, label="the paper's")
+    figure.legend(*axes[-1].get_legend_handles_labels(), loc="outside lower center", ncols=args.n + 1)
+    style.save_plot(figure, args.out / "clean_groups.png")
+    plt.close(figure)
     Console(width=110).print(table, "drawn: " + str(args.out / "clean_groups.png"), sep="\n")
 
 

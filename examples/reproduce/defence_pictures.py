@@ -3,7 +3,9 @@
     python examples/reproduce/defence_pictures.py
     python examples/reproduce/defence_pictures.py --scene test-urban-00 --fusions v2vnet --defenders none prbi bayes
 
-As in the paper, ground truth is green and predictions are red. Two of five vehicles attack from the second frame on
+The paper has ground truth in green and predictions in red. Here a colour and a shape mean the same as in the films:
+blue boxes are vehicles that were found, filled yellow ones were missed, crossed-out purple ones are ghosts, and the
+colour-blind tell them apart. Two of five vehicles attack from the second frame on
 (Sec. 11.1: PGD, Δ = 0.3, 15 steps of 0.1). Shown is one later frame, after PRBI's first verdicts. The seed decides the
 scene, its start and the attackers; nothing was selected. The boxes are those the ego acts on. What is played is kept in
 `out`, a file a panel: the same command goes on where a killed run stopped.
@@ -15,7 +17,6 @@ import json
 import shlex
 import sys
 import zlib
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -28,20 +29,24 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 from rich.console import Console
 from rich.progress import track
 
+from agents.arena.entries import make_attack
 from cp_env import evaluation
 from cp_env.evaluation.plan.files import write_atomically
 from cp_env.geometry.planar import corners
+from cp_env.rendering import style
 from cp_env.rendering.camera import Camera
-from cp_env.rendering.frame import wrong_rows
+from cp_env.rendering.picture import wrong_rows
 from cp_env.scenes import open_source
 from cp_env.settings import Fusion
 from defenders.registry import Spec
-from examples.reproduce.defence_tables import N_ATTACKERS, make_attack
 
-TRUTH, SEEN, ATTACKER, BENIGN = "tab:green", "tab:red", "black", "tab:blue"
+FOUND, MISSED, GHOST = style.LIGHT.found, style.LIGHT.missed, style.LIGHT.ghost
+TRUTH, ATTACKER = style.GRID, style.LIGHT.attacker
+N_ATTACKERS = 2
 TITLES = {"none": "no defence", "prbi": "PRBI"}
 
 Panel = dict[str, Any]  # boxes, points and numbers of one picture, fit for JSON
@@ -104,58 +109,70 @@ def play(run: evaluation.Run, conditions: evaluation.Conditions) -> Panel:
     }
 
 
+@style.plot_style()
 def draw(made: dict[tuple[str, str], Panel], path: Path) -> Path:
     """Fusions down, conditions across."""
     fusions, titles = (list(dict.fromkeys(key[axis] for key in made)) for axis in (0, 1))
-    size = (3.9 * len(titles) + 0.4, 4.1 * len(fusions) + 0.9)
+    height = (style.PAGE - 0.9) / len(titles) + 0.2
     figure, axes = plt.subplots(
-        len(fusions), len(titles), figsize=size, squeeze=False, sharex=True, sharey=True, layout="constrained"
+        len(fusions),
+        len(titles),
+        figsize=(style.PAGE, height * len(fusions) + 0.8),
+        squeeze=False,
+        sharex=True,
+        sharey=True,
+        layout="constrained",
     )
     for row, fusion in enumerate(fusions):
         for column, title in enumerate(titles):
-            show(axes[row, column], made[fusion, title], f"{fusion}, {title}")
+            show(axes[row, column], made[fusion, title], title if row == 0 else "")
+        axes[row, 0].set_ylabel(f"{fusion}\ny (m)")
     for axis in axes[-1]:
         axis.set_xlabel("x in the ego's frame (m)")
-    for axis in axes[:, 0]:
-        axis.set_ylabel("y (m)")
+    disc: dict[str, Any] = {"ls": "none", "marker": "o", "mec": style.BLACK}
     handles = [
-        Line2D([], [], color=TRUTH, label="ground truth"),
-        Line2D([], [], color=SEEN, label="predictions"),
-        Line2D([], [], ls="none", marker="o", color=BENIGN, label="benign vehicle"),
-        Line2D([], [], ls="none", marker="X", color=ATTACKER, label="attacker"),
-        Line2D([], [], ls="none", marker="o", mfc="none", mec="0.4", ms=12, label="fused"),
+        Patch(fc=TRUTH, ec=style.GREY, label="true vehicle"),
+        Patch(fc="none", ec=FOUND, lw=1.6, label="perceived"),
+        Patch(fc=MISSED, ec=style.BLACK, label="missed"),
+        Patch(fc="none", ec=GHOST, hatch="xx", label="ghost"),
+        Line2D([], [], mfc=style.BLACK, ms=5, label="fused", **disc),
+        Line2D([], [], mfc="white", ms=5, label="not fused", **disc),
+        Line2D([], [], **(disc | {"mec": ATTACKER}), mfc="white", mew=3, ms=9, label="attacker"),
     ]
-    figure.legend(handles=handles, loc="outside upper center", ncols=len(handles), frameon=False)
-    figure.savefig(path, dpi=110)
+    figure.legend(handles=handles, loc="outside upper center", ncols=len(handles), columnspacing=1.2)
+    style.save_plot(figure, path)
     plt.close(figure)
     return path
 
 
 def show(axis: Axes, panel: Panel, title: str) -> None:
-    """One panel."""
+    """One panel: a colour and a shape for each kind of box, as in the films."""
     points = np.array(panel["points"]).reshape(-1, 2)
-    axis.scatter(points[:, 0], points[:, 1], s=0.6, color="0.75", linewidths=0)
-    for name, colour, width in (("truth", TRUTH, 2.2), ("seen", SEEN, 1.3)):
-        axis.add_collection(PolyCollection(list(outlines(panel[name])), facecolors="none", edgecolors=colour, lw=width))
+    axis.scatter(points[:, 0], points[:, 1], s=0.4, color=style.LIGHT.others, linewidths=0)
+    truth, seen = (np.array(panel[name], dtype=np.float64).reshape(-1, 5) for name in ("truth", "seen"))
+    ghosts, missed = (sorted(rows) for rows in wrong_rows(seen, truth))
+    wrong, other = np.isin(np.arange(len(seen)), ghosts), np.isin(np.arange(len(truth)), missed)
+    add(axis, truth[~other], facecolors=TRUTH, edgecolors=style.GREY, lw=0.5)
+    add(axis, truth[other], facecolors=MISSED, edgecolors=style.BLACK, lw=0.7)
+    add(axis, seen[~wrong], facecolors="none", edgecolors=FOUND, lw=1.3)
+    add(axis, seen[wrong], facecolors="none", edgecolors=GHOST, lw=0.9)
+    for a, b, c, d in corners(seen[wrong]):
+        for one, opposite in ((a, c), (b, d)):
+            axis.plot(*np.stack([one, opposite], axis=1), color=GHOST, lw=0.6)
     for number, (x, y) in enumerate(panel["places"]):
-        attacker = number in panel["attackers"]
-        axis.plot(
-            x,
-            y,
-            "X" if attacker else "o",
-            color=ATTACKER if attacker else BENIGN,
-            ms=7 if attacker else 5,
-            clip_on=True,
-        )
-        if number in panel["fused"]:
-            axis.plot(x, y, "o", mfc="none", mec="0.4", ms=12)
-    axis.set_title(f"{title}\n{panel['missed']} missed, {panel['ghosts']} ghosts", fontsize=10)
+        if number in panel["attackers"]:
+            axis.plot(x, y, "o", mfc="none", mec=ATTACKER, mew=2.2, ms=10)
+        axis.plot(x, y, "o", mfc=style.BLACK if number in panel["fused"] else "white", mec=style.BLACK, ms=5)
+    counts = f"{panel['missed']} missed, {panel['ghosts']} ghosts"
+    axis.set_title(f"{title}\n{counts}" if title else counts, fontsize=9)
     axis.set(xlim=(-panel["extent"], panel["extent"]), ylim=(-panel["extent"], panel["extent"]), aspect="equal")
+    axis.set(xticks=[-20, 0, 20], yticks=[-20, 0, 20])
+    axis.grid(False)
 
 
-def outlines(boxes: Sequence[Sequence[float]]) -> Float[np.ndarray, "K 4 2"]:
-    """Corners of boxes, m."""
-    return corners(np.array(boxes, dtype=np.float64).reshape(-1, 5))
+def add(axis: Axes, boxes: Float[np.ndarray, "K 5"], **drawn: Any) -> None:
+    """Draw boxes."""
+    axis.add_collection(PolyCollection(list(corners(boxes)), **drawn))
 
 
 def main(args: Args) -> None:

@@ -30,10 +30,12 @@ from cp_env.driving import Drive, PseudoClosedLoop
 from cp_env.driving.closed_loop import HARD
 from cp_env.geometry.planar import compose, corners, invert
 from cp_env.metrics.corridor import WIDTH
+from cp_env.rendering import style
 from cp_env.types import Scene
 
-EGO, HIDDEN, SEEN, OTHER, CALM, BAND = "#0072B2", "#D55E00", "#009E73", "#999999", "#56B4E9", "#FBF6C2"
-"""Of Okabe and Ito, which the colour-blind can tell apart."""
+EGO, HIDDEN, SEEN, OTHER, BAND = style.BLACK, style.LIGHT.missed, style.LIGHT.found, style.SILVER, "#EDF1F5"
+CALM, ATTACKED = style.BLUE, style.VERMILLION
+"""The drive on the unattacked output, and the other."""
 BEHIND, AHEAD, SIDE = 8.0, 32.0, 5.0
 """What is shown of the road: m behind, ahead of and beside the ego."""
 
@@ -43,7 +45,7 @@ class Args:
     """What is played."""
 
     scenes: str = "town/test"
-    scene: str = "test-suburban-00"
+    scene: str = "test-suburban-03"
     start: int = 0  # first frame of the scene
     frames: int = 60
     defender: str = "prbi"
@@ -92,11 +94,12 @@ def play(args: Args) -> Episode:
     return Episode(scene, args.start, attacked, calm, place, seen, float(np.mean(damage)), attackers)
 
 
+@style.plot_style()
 def draw(episode: Episode, args: Args) -> Path:
     """The road at two moments, then the two drives over time."""
     hit = collision_frame(episode)
     end = len(episode.place) - 1 if hit is None else hit
-    figure = plt.figure(figsize=(6.9, 7.0), layout="constrained")
+    figure = plt.figure(figsize=(style.PAGE, 7.0), layout="constrained")
     rows = figure.add_gridspec(4, 1, height_ratios=[1, 1, 0.95, 0.95])
     for row, frame in enumerate((max(end - 10, 0), end)):
         axes = figure.add_subplot(rows[row])
@@ -107,7 +110,7 @@ def draw(episode: Episode, args: Args) -> Path:
     figure.axes[0].legend(
         handles=[
             Patch(facecolor=EGO, label="ego (simulated)"),
-            Patch(facecolor=HIDDEN, label="vehicle that it misses"),
+            Patch(facecolor=HIDDEN, edgecolor=style.BLACK, label="vehicle that it misses"),
             Patch(facecolor=OTHER, label="vehicle that it sees"),
             Line2D([], [], color=SEEN, lw=1.8, label="box of the output"),
             Patch(facecolor=BAND, label="its corridor"),
@@ -128,10 +131,11 @@ def draw(episode: Episode, args: Args) -> Path:
     braking.set_xlabel("time (s)", fontsize=9)
     braking.set_ylim(bottom=0)
     for axes in (speed, braking):
-        axes.axvline(end * episode.scene.dt, color=HIDDEN, lw=1, ls="--")
+        axes.axvline(end * episode.scene.dt, color=style.GREY, lw=1, ls="--")
     speed.legend(fontsize=8, frameon=False, loc="best")
     args.out.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(args.out, dpi=100)
+    style.save_plot(figure, args.out)
+    plt.close(figure)
     return args.out
 
 
@@ -155,11 +159,13 @@ def draw_road(axes: Axes, episode: Episode, frame: int) -> None:
     found = (np.linalg.norm(boxes[:, None, :2] - seen[None, :, :2], axis=-1) <= 2.0).any(axis=1)
     axes.axhspan(-WIDTH / 2, WIDTH / 2, color=BAND, lw=0)
     add(axes, from_ego(boxes[found], place), facecolors=OTHER)
-    add(axes, from_ego(boxes[~found], place), facecolors=HIDDEN)
+    add(axes, from_ego(boxes[~found], place), facecolors=HIDDEN, edgecolors=style.BLACK, linewidths=0.8)
     add(axes, np.array([[0, 0, *episode.scene.size[ego, :2], 0]]), facecolors=EGO)
     add(axes, from_ego(seen, place), facecolors="none", edgecolors=SEEN, linewidths=1.8)
     axes.set(xlim=(-BEHIND, AHEAD), ylim=(-SIDE, SIDE), aspect="equal", yticks=[-4, 0, 4])
-    axes.set_ylabel("m", fontsize=9)
+    axes.set_ylabel("left (m)", fontsize=9)
+    axes.set_xlabel("ahead of the ego (m)", fontsize=9)
+    axes.grid(False)
     axes.tick_params(labelsize=8)
 
 
@@ -169,19 +175,19 @@ def from_ego(boxes: Float[np.ndarray, "L 5"], place: Float[np.ndarray, " 3"]) ->
     return np.concatenate([pose[:, :2], boxes[:, 2:4], pose[:, 2:]], axis=1)
 
 
-def add(axes: Axes, boxes: Float[np.ndarray, "L 5"], **style: object) -> None:
+def add(axes: Axes, boxes: Float[np.ndarray, "L 5"], **drawn: object) -> None:
     """Draw boxes."""
-    axes.add_collection(PolyCollection(list(corners(boxes)), **style))  # type: ignore[arg-type]
+    axes.add_collection(PolyCollection(list(corners(boxes)), **drawn))  # type: ignore[arg-type]
 
 
 def draw_series(axes: Axes, episode: Episode, name: str, sign: float, label: str) -> None:
     """Both drives over time."""
-    for loop, colour, style, what in (
+    for loop, colour, dashes, what in (
         (episode.clean, CALM, "--", "sees the unattacked output"),
-        (episode.attacked, EGO, "-", "sees the attacked, defended output"),
+        (episode.attacked, ATTACKED, "-", "sees the attacked, defended output"),
     ):
         values = [sign * float(getattr(moment, name)[0]) for moment in loop.history]
-        axes.plot(np.arange(len(values)) * episode.scene.dt, values, style, color=colour, lw=1.8, label=what)
+        axes.plot(np.arange(len(values)) * episode.scene.dt, values, dashes, color=colour, lw=1.8, label=what)
     axes.set_ylabel(label, fontsize=9)
     axes.tick_params(labelsize=8)
     axes.spines[["top", "right"]].set_visible(False)

@@ -25,6 +25,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import torch
 import tyro
+from matplotlib.lines import Line2D
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -33,6 +34,7 @@ import agents
 from cp_env.detector import load_detector
 from cp_env.metrics.shares import share_interval
 from cp_env.metrics.similarity import view_similarity_many
+from cp_env.rendering import style
 from cp_env.scenes import open_source
 from cp_env.settings import Fusion
 from cp_env.types import SceneSource
@@ -40,7 +42,7 @@ from cp_env.world.scene_cache import SceneBank
 from cp_env.world.world import World
 
 CONDITIONS = {"upper bound": "none", "lower bound": "none", "BIM": "bim", "C&W": "cw", "PGD": "pgd"}
-KINDS = {"urban": "tab:blue", "suburban": "tab:orange", "intersection": "tab:green"}  # and their colours
+KINDS = {"urban": style.BLUE, "suburban": style.ORANGE, "intersection": style.GREEN}  # and their colours
 Values = dict[str, list[float]]  # similarities to the output, and to the benign view, of the frame before
 Found = dict[tuple[str, str, str], list[Values]]  # by fusion, condition and kind; one entry a scene
 
@@ -128,28 +130,32 @@ def table(found: Found, args: Args) -> Table:
     return made
 
 
+@style.plot_style()
 def draw(found: Found, args: Args, path: Path) -> Path:
     """A row a fusion, a column a condition, a line a kind of scene."""
-    size = (3.0 * len(CONDITIONS), 0.8 + 2.4 * len(args.fusions))
+    size = (style.PAGE, 0.6 + 1.8 * len(args.fusions))
     figure, axes = plt.subplots(
-        len(args.fusions), len(CONDITIONS), figsize=size, sharex=True, sharey="row", squeeze=False, layout="constrained"
+        len(args.fusions), len(CONDITIONS), figsize=size, sharex=True, sharey=True, squeeze=False, layout="constrained"
     )
     bins = np.linspace(0, 1, 21)
     for (row, fusion), (column, condition) in itertools.product(enumerate(args.fusions), enumerate(CONDITIONS)):
         axis = axes[row, column]
-        for kind, colour in KINDS.items():
+        for (kind, colour), dashes in zip(KINDS.items(), ("-", "--", ":"), strict=False):
             values = np.concatenate([scene["to_output"] for scene in found[fusion, condition, kind]])
             share = np.full(len(values), 1 / len(values))
-            axis.hist(values, bins, weights=share, histtype="step", lw=1.8, color=colour, label=kind)
-        axis.set_title(f"{fusion}, {condition}", fontsize=10)
-        axis.set_ylim(0, 1.02)
-    for axis in axes[-1]:
-        axis.set_xlabel("Jaccard similarity")
-    for axis in axes[:, 0]:
-        axis.set_ylabel("share of frame pairs")
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=len(KINDS), frameon=False)
-    figure.savefig(path, dpi=110)
+            axis.hist(values, bins, weights=share, histtype="step", lw=1.6, ls=dashes, color=colour, label=kind)
+        if row == 0:
+            axis.set_title(condition)
+        axis.set_xlim(-0.02, 1.02)
+        axis.set_xticks([0, 0.5, 1], ["0", "0.5", "1"])
+    for axis, fusion in zip(axes[:, 0], args.fusions, strict=True):
+        axis.set_ylabel(f"{fusion}\nshare of frame pairs")
+    figure.supxlabel("Jaccard similarity of consecutive outputs", fontsize=9)
+    handles = [
+        Line2D([], [], color=c, ls=d, label=k) for (k, c), d in zip(KINDS.items(), ("-", "--", ":"), strict=False)
+    ]
+    figure.legend(handles=handles, loc="outside upper center", ncols=len(KINDS))
+    style.save_plot(figure, path)
     plt.close(figure)
     return path
 

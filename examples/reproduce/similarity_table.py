@@ -16,11 +16,14 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
 import torch
 import tyro
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 from rich.console import Console
 from rich.table import Table
 
@@ -31,8 +34,12 @@ from agents.commands.common import Victim
 from cp_env.metrics.intervals import Interval
 from cp_env.metrics.shares import share_interval
 from cp_env.progress import track
+from cp_env.rendering import style
 from cp_env.scenes import open_source
 from cp_env.world.scene_cache import SceneBank
+
+PAPER = 0.35
+"""The paper's threshold for groups of all sizes."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +76,7 @@ def report(found: Samples, epsilon: dict[int, float], args: Args) -> None:
             mean: Interval = share_interval([np.mean(values) for values in found[size, attackers].values()])
             values = pooled(found, (size, attackers))
             cells.append(f"{mean:.2f}")
-            passing.append(f"{(values >= 0.35).mean():.2f} / {(values >= epsilon[size]).mean():.2f}")
+            passing.append(f"{(values >= PAPER).mean():.2f} / {(values >= epsilon[size]).mean():.2f}")
             rows.append({"size": size, "attackers": attackers, "mean": mean.mean, "low": mean.low, "high": mean.high})
         table.add_row(str(size), *cells, f"{epsilon[size]:.2f}")
         shares.add_row(str(size), *passing)
@@ -81,31 +88,42 @@ def report(found: Samples, epsilon: dict[int, float], args: Args) -> None:
     console.print("drawn:", draw(found, epsilon, args))
 
 
+@style.plot_style()
 def draw(found: Samples, epsilon: dict[int, float], args: Args) -> Path:
-    figure, axes = plt.subplots(
-        1, args.n_vehicles, figsize=(3.2 * args.n_vehicles, 3.4), sharey=True, layout="constrained"
-    )
-    colours = plt.get_cmap("viridis")(np.linspace(0, 0.9, args.n_vehicles))
-    for size, axis in enumerate(axes, start=1):
+    """Histograms by size of the group. An axis of square roots shows the benign groups beside the peak near 0."""
+    rows = -(-(args.n_vehicles + 1) // 3)  # the last panel is the legend's
+    figure = plt.figure(figsize=(style.PAGE, 0.5 + 2.1 * rows), layout="constrained")
+    axes = figure.subplots(rows, 3, sharex=True, sharey=True, squeeze=False).flat
+    panels, rest = axes[: args.n_vehicles], axes[args.n_vehicles :]
+    colours = [style.BLUE, *style.attacker_colours(args.n_vehicles - 1)]
+    for size, axis in enumerate(panels, start=1):
         for attackers in range(args.n_vehicles):
-            if (size, attackers) in found:
-                values, label = pooled(found, (size, attackers)), f"{attackers} attackers"
-                axis.hist(
-                    values,
-                    np.linspace(0, 1, 26),
-                    density=True,
-                    histtype="step",
-                    lw=1.8,
-                    color=colours[attackers],
-                    label=label,
-                )
-        axis.axvline(0.35, color="grey", ls=":", label="0.35 (paper)")
-        axis.axvline(epsilon[size], color="crimson", ls="--", label="calibrated ε")
-        axis.set(title=f"groups of {size}", xlabel="Jaccard similarity")
-    axes[0].set_ylabel("density")
-    axes[-1].legend(fontsize=8)
-    path = args.out / f"{args.fusion}.png"
-    figure.savefig(path, dpi=110)
+            if (size, attackers) not in found:
+                continue
+            values = pooled(found, (size, attackers))
+            share = np.full(len(values), 1 / len(values))
+            drawn: dict[str, Any] = {"color": colours[attackers], "bins": np.linspace(0, 1, 26), "weights": share}
+            if attackers == 0:
+                axis.hist(values, alpha=0.3, **drawn)
+            axis.hist(values, histtype="step", lw=1.6, **drawn)
+        axis.axvline(PAPER, color=style.GREY, ls=":")
+        axis.axvline(epsilon[size], color=style.BLACK, ls="--", lw=1.2)
+        axis.set_title("single vehicles" if size == 1 else f"groups of {size}")
+        style.share_axis(axis)
+    for axis in rest:
+        axis.set_axis_off()
+    for axis in panels[-3:]:
+        axis.tick_params(labelbottom=True)
+    figure.supxlabel("Jaccard similarity to the benign view of the frame before", fontsize=9)
+    figure.supylabel("share of the groups (square-root axis)", fontsize=9)
+    handles: list[Any] = [Patch(color=colours[0], alpha=0.5, label="no attacker")]
+    for number, colour in enumerate(colours[1:], start=1):
+        handles.append(Line2D([], [], color=colour, label=f"{number} attacker{'s' if number > 1 else ''}"))
+    handles.append(Line2D([], [], color=style.GREY, ls=":", label=f"{PAPER} (paper)"))
+    handles.append(Line2D([], [], color=style.BLACK, ls="--", lw=1.2, label="ε, calibrated for the size"))
+    rest[0].legend(handles=handles, loc="center", fontsize=9)
+    path = style.save_plot(figure, args.out / f"{args.fusion}.png")
+    plt.close(figure)
     return path
 
 
