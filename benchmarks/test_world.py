@@ -28,8 +28,8 @@ from defenders.protocol import Defender, Frame, Inspection, Query, Verdict
 FRAMES = 12
 MOST = {1: 4.0, 16: 2.0, 64: 2.0}
 """Ratios to the bare network that fail, by number of worlds: well above what docs/speed.md gives."""
-GRADIENT = 3
-"""Forward and backward passes of `guided`, one world each; a backward pass counts as one forward."""
+MOST_LEARNER = {"guided": 16.0, "basis": 7.0}
+"""The same for SB3's environment, by action map, over one bare view a frame."""
 
 
 class Splits(Defender):
@@ -130,6 +130,7 @@ def test_a_frame_of_a_learner(benchmark: BenchmarkFixture, action: str, num_envs
         in_turn, args=(episode, networks), kwargs={"setup": again, "rounds": 3, "warmup": 1}, rounds=1
     )
     said(benchmark, f"{action}, {num_envs} worlds, {precision}", found, num_envs * FRAMES)
+    assert found.ratio < MOST_LEARNER.get(action, np.inf)
 
 
 def said(benchmark: BenchmarkFixture, what: str, found: InTurn, frames: int) -> None:

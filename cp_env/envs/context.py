@@ -121,8 +121,9 @@ def _belief(moment: Moment) -> np.ndarray:
 def _suspects(moment: Moment) -> np.ndarray:
     suspects = np.zeros((moment.world.num_envs, moment.settings.n_maps), dtype=np.float32)
     if moment.last is not None:
-        for e in np.flatnonzero(~moment.fresh):
-            suspects[e, sorted(moment.last.verdicts[e].suspects)] = 1.0
+        verdicts = moment.last.verdicts
+        for e in np.flatnonzero(~moment.fresh).tolist():
+            suspects[e, sorted(verdicts[e].suspects)] = 1.0
     return suspects
 
 

@@ -76,7 +76,7 @@ class Game:
         self._map = make_action(settings.action, *shape)
         self._observer = Observer(settings, *shape)
         self._reward = make_reward(settings.reward)
-        self._camera = Camera(self.world)
+        self._camera = Camera(self.world, f"{settings.action} actions")
         self._fresh = np.ones(num_envs, dtype=bool)
         self.outcome: Outcome | None = None
 
@@ -181,8 +181,9 @@ class Game:
         outcome, played = self.outcome, ~self._fresh
         for key, metric in FRAME_METRICS.items():
             infos[key][played] = metric(outcome)[played, None]
-        for e in np.flatnonzero(played):
-            verdict = outcome.verdicts[e]
+        verdicts = outcome.verdicts
+        for e in np.flatnonzero(played).tolist():
+            verdict = verdicts[e]
             infos["excluded"][e] = [v not in verdict.collaborators for v in slots.vehicle[e]]
             infos["flagged"][e] = [v in verdict.suspects for v in slots.vehicle[e]]
             infos["perturbation_norm"][e, slots.malicious[e]] = outcome.perturbation_norm[e]

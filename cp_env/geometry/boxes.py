@@ -224,8 +224,9 @@ def _stack(
     sets: Sequence[ArrayLike],
 ) -> tuple[Float[np.ndarray, "V K 3"], Float[np.ndarray, "L 5"], Int[np.ndarray, " V"]]:
     """All sets together: their discs padded to one size, their boxes one after the other, the row where each starts."""
-    arrays = [checked(boxes, ndim=2) for boxes in sets]
-    flat = np.concatenate(arrays) if arrays else np.zeros((0, 5))
+    rows = all(isinstance(boxes, np.ndarray) and boxes.shape[1:] == (5,) for boxes in sets)
+    arrays: Sequence[np.ndarray] = sets if rows else [checked(boxes, ndim=2) for boxes in sets]  # type: ignore[assignment]
+    flat = checked(np.concatenate(arrays), ndim=2) if len(arrays) else np.zeros((0, 5))  # all at once: many are quicker
     count = np.array([len(boxes) for boxes in arrays], dtype=np.intp)
     disc, start = _pad(_disc(flat), np.repeat(np.arange(len(count)), count), count)
     return disc, flat, start

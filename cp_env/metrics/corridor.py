@@ -7,6 +7,8 @@ bumper to the nearest part of a box in the corridor; m.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -71,6 +73,18 @@ class Path:
         return Corridor(np.concatenate([ends[0], self.points[inside], ends[1]]), front)
 
 
+class _Legs(NamedTuple):
+    """The straight pieces of a path, column by column."""
+
+    x: Float[np.ndarray, " P"]  # where each begins; m
+    y: Float[np.ndarray, " P"]
+    east: Float[np.ndarray, " P"]  # its direction, of length 1
+    north: Float[np.ndarray, " P"]
+    length: Float[np.ndarray, " P"]  # m
+    begin: Float[np.ndarray, " P"]  # along the path; m
+    heading: Float[np.ndarray, "P 2"]  # the direction again, as rows
+
+
 @dataclass(frozen=True, eq=False)
 class Corridor:
     """The band along a path that begins at the ego's centre."""
@@ -106,25 +120,33 @@ class Corridor:
 
         Behind the first place the distance along the path is negative, and beyond the last it exceeds the length.
         """
+        legs = self._legs
+        east, north = points[:, 0, None] - legs.x, points[:, 1, None] - legs.y
+        forward = east * legs.east + north * legs.north
+        inside = np.minimum(np.maximum(forward, 0.0), legs.length)
+        east -= inside * legs.east
+        north -= inside * legs.north
+        across = np.sqrt(east * east + north * north)
+        nearest, rows = across.argmin(axis=1), np.arange(len(points))
+        along = legs.begin[nearest] + inside[rows, nearest]
+        along = np.where((nearest == 0) & (forward[:, 0] < 0), forward[:, 0], along)
+        beyond = (nearest == len(legs.length) - 1) & (forward[:, -1] > legs.length[-1])
+        along = np.where(beyond, legs.begin[-1] + forward[:, -1], along)
+        return along, across[rows, nearest], legs.heading[nearest]
+
+    @cached_property
+    def _legs(self) -> _Legs:
         step = np.diff(self.points, axis=0)
         length = np.linalg.norm(step, axis=1)
         heading = step / length[:, None]
-        offset = points[:, None] - self.points[None, :-1]
-        forward = (offset * heading).sum(-1)
-        inside = np.clip(forward, 0.0, length)
-        across = np.linalg.norm(offset - inside[..., None] * heading, axis=-1)
-        nearest = across.argmin(axis=1)
-        rows = np.arange(len(points))
         begin = np.concatenate([[0.0], np.cumsum(length)[:-1]])
-        along = begin[nearest] + inside[rows, nearest]
-        along = np.where((nearest == 0) & (forward[:, 0] < 0), forward[:, 0], along)
-        beyond = (nearest == len(step) - 1) & (forward[:, -1] > length[-1])
-        return np.where(beyond, begin[-1] + forward[:, -1], along), across[rows, nearest], heading[nearest]
+        (x, y), (east, north) = self.points[:-1].T.copy(), heading.T.copy()
+        return _Legs(x, y, east, north, length, begin, heading)
 
-    @property
+    @cached_property
     def length(self) -> float:
         """Of the path; m."""
-        return float(np.linalg.norm(np.diff(self.points, axis=0), axis=1).sum())
+        return float(self._legs.length.sum())
 
     def gaps(self, boxes: Float[np.ndarray, "L 5"]) -> tuple[Float[np.ndarray, " L"], Float[np.ndarray, "L 2"]]:
         """How far each box is ahead of the front bumper, and the path's direction there.

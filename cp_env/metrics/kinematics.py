@@ -22,6 +22,8 @@ SHORTEST = 0.5
 LARGEST = 9.0
 """Deceleration that no car exceeds; m/s²."""
 
+_ALONG = np.linspace(-1.0, 1.0, DISCS)
+
 
 def velocities(scene: Scene, frame: int) -> Float[np.ndarray, "M 2"]:
     """The velocity of every vehicle of the scene, along the world's axes; m/s.
@@ -55,17 +57,20 @@ def time_to_collision(
         ego_box: the ego's, in the same frame.
         ego_velocity: the ego's, m/s.
     """
-    offset = _discs(boxes)[:, :, None] - _discs(ego_box[None])[:, None]  # [L, D, D, 2]
+    if not len(boxes):
+        return np.zeros(0)
+    (x, y), (ego_x, ego_y) = _discs(boxes), _discs(ego_box[None])
+    east, north = x[:, :, None] - ego_x, y[:, :, None] - ego_y  # [L, D, D]
     reach = (boxes[:, 3, None, None] + ego_box[3]) / 2
-    drift = (velocity - ego_velocity)[:, None, None]
-    a = (drift**2).sum(-1)
-    b = (offset * drift).sum(-1)
-    c = (offset**2).sum(-1) - reach**2
-    root = b**2 - a * c
+    drift_x, drift_y = ((velocity - ego_velocity)[:, i, None, None] for i in range(2))
+    a = drift_x * drift_x + drift_y * drift_y
+    b = east * drift_x + north * drift_y
+    c = east * east + north * north - reach * reach
+    root = b * b - a * c
     meets = (root >= 0) & (b < 0)
     with np.errstate(divide="ignore", invalid="ignore"):
         time = np.where(meets, (-b - np.sqrt(np.maximum(root, 0.0))) / a, np.inf)
-    first: Float[np.ndarray, " L"] = np.where(c <= 0, 0.0, time).min(axis=(1, 2), initial=np.inf)
+    first: Float[np.ndarray, " L"] = np.where(c <= 0, 0.0, time).reshape(len(boxes), -1).min(axis=1)
     return first
 
 
@@ -82,9 +87,9 @@ def required_deceleration(closing: Float[np.ndarray, "*n"], gap: Float[np.ndarra
     return np.minimum(speed**2 / (2 * np.maximum(gap - STANDSTILL, SHORTEST)), LARGEST)
 
 
-def _discs(boxes: Float[np.ndarray, "L 5"]) -> Float[np.ndarray, "L D 2"]:
-    """Centres of the discs of each box."""
+def _discs(boxes: Float[np.ndarray, "L 5"]) -> tuple[Float[np.ndarray, "L D"], Float[np.ndarray, "L D"]]:
+    """x and y of the centres of the discs of each box."""
     half = np.maximum(boxes[:, 2] - boxes[:, 3], 0.0) / 2
-    along = np.linspace(-1.0, 1.0, DISCS) * half[:, None]
-    heading = np.stack([np.cos(boxes[:, 4]), np.sin(boxes[:, 4])], axis=-1)
-    return boxes[:, None, :2] + along[..., None] * heading[:, None]
+    along = _ALONG * half[:, None]
+    yaw = boxes[:, 4, None]
+    return boxes[:, 0, None] + along * np.cos(yaw), boxes[:, 1, None] + along * np.sin(yaw)

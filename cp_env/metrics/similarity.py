@@ -10,9 +10,10 @@ have similarity and agreement 0.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numpy.typing import ArrayLike
 from scipy.optimize import linear_sum_assignment
 
@@ -61,10 +62,17 @@ def view_similarity_many(
 
     `extent` is the detector's range in metres: a view covers |x|, |y| <= extent. Symmetric in each pair.
     """
-    moved = [_on_common_ground(a, b, extent) for a, b in pairs]
-    values = jaccard_many([a for a, _ in moved], [b for _, b in moved], iou)
-    apart = [bool((np.abs(a.origin - b.origin) >= 2 * extent).any()) for a, b in pairs]
-    return np.where(apart, 0.0, values)
+    if not pairs:
+        return np.zeros(0)
+    a, b = ([view.seen.boxes for view in side] for side in zip(*pairs, strict=True))
+    older, newer = (np.array([view.origin for view in side], dtype=np.float64) for side in zip(*pairs, strict=True))
+    motion = older - newer  # b_T_a
+    if motion.any():
+        still = np.asarray((motion == 0).all(axis=1))
+        a, _ = _inside(a, motion, still, extent)
+        b = _inside(b, -motion, still, extent)[1]
+    values = jaccard_many(a, b, iou)
+    return np.where((np.abs(motion) >= 2 * extent).any(axis=1), 0.0, values)
 
 
 def agreement(a: View, b: View, *, extent: float = 32.0) -> float:
@@ -94,17 +102,24 @@ def agreement(a: View, b: View, *, extent: float = 32.0) -> float:
     return float((shared[present] / total[present] ** 2).sum() / (1 / total[present]).sum())
 
 
-def _on_common_ground(a: View, b: View, extent: float) -> tuple[Float[np.ndarray, "A 5"], Float[np.ndarray, "B 5"]]:
-    """The boxes seen in a and in b that both views cover, a's moved into b's grid frame."""
-    boxes_a, boxes_b = a.seen.boxes, b.seen.boxes
-    motion = np.asarray(a.origin, dtype=np.float64) - b.origin  # b_T_a
-    if not motion.any():
-        return boxes_a, boxes_b
-    boxes_a = boxes_a.astype(np.float64)
-    boxes_a[:, :2] += motion
-    inside_a = (np.abs(boxes_a[:, :2]) <= extent).all(axis=1)
-    inside_b = (np.abs(boxes_b[:, :2] - motion) <= extent).all(axis=1)
-    return boxes_a[inside_a], boxes_b[inside_b]
+def _inside(
+    sets: Sequence[Float[np.ndarray, "_ 5"]],
+    motion: Float[np.ndarray, "V 2"],
+    still: Bool[np.ndarray, " V"],
+    extent: float,
+) -> tuple[list[Float[np.ndarray, "_ 5"]], list[Float[np.ndarray, "_ 5"]]]:
+    """The boxes of each view that are in the other's range after the motion: moved, and as they were.
+
+    Where nothing moves, all boxes are.
+    """
+    count = np.array([len(boxes) for boxes in sets])
+    before, view = np.concatenate(sets).astype(np.float64), np.repeat(np.arange(len(sets)), count)
+    after = before.copy()
+    after[:, :2] += motion[view]
+    inside = (np.abs(after[:, :2]) <= extent).all(axis=1) | still[view]
+    after, before = after[inside], before[inside]
+    ends = [0, *np.cumsum(np.bincount(view[inside], minlength=len(sets))).tolist()]
+    return [after[i:j] for i, j in pairwise(ends)], [before[i:j] for i, j in pairwise(ends)]
 
 
 def _matched(

@@ -73,9 +73,14 @@ class Surroundings:
         It says what a box of the output demands that is no true vehicle: an output tells no velocities, so it is taken
         to stand, our choice.
         """
-        at_rest, nobody = np.zeros((len(boxes), 2)), np.full(len(boxes), -1)
-        same = self.ego_box, self.ego_velocity, self.corridor, self.origin, self.dt
-        return Surroundings(np.asarray(boxes, dtype=np.float64), at_rest, nobody, *same)
+        twin = object.__new__(Surroundings)  # whose other arrays are read-only copies already
+        twin.__dict__.update(
+            boxes=frozen(np.asarray(boxes, dtype=np.float64)),
+            velocity=frozen(np.zeros((len(boxes), 2))),
+            vehicle=frozen(np.full(len(boxes), -1)),
+            **{name: self.__dict__[name] for name in ("ego_box", "ego_velocity", "corridor", "origin", "dt")},
+        )
+        return twin
 
     @cached_property
     def _on_path(self) -> tuple[Float[np.ndarray, " L"], Float[np.ndarray, "L 2"]]:
@@ -104,6 +109,11 @@ class Surroundings:
         return frozen((self.gap < NEAR) | (self.time_to_collision < SOON))
 
     @cached_property
+    def any_critical(self) -> bool:
+        """Whether one of them is critical; times to collision are computed only where no gap says so."""
+        return bool((self.gap < NEAR).any()) or bool((self.time_to_collision < SOON).any())
+
+    @cached_property
     def deceleration(self) -> Float[np.ndarray, " L"]:
         """What each vehicle demands of the ego; m/s², 0 outside of the corridor."""
         return frozen(np.where(np.isfinite(self.gap), required_deceleration(self.closing, self.gap), 0.0))
@@ -116,6 +126,19 @@ class Surroundings:
         if np.isfinite(self.gap).any():
             return int(self.gap.argmin())
         return int(np.linalg.norm(self.boxes[:, :2] - self.ego_box[:2], axis=1).argmin())
+
+    @cached_property
+    def targets(self) -> Int[np.ndarray, " W"]:
+        """Rows of the critical vehicles and of the nearest one, ascending: those that an output is asked about."""
+        chosen = self.critical.copy()
+        if self.nearest is not None:
+            chosen[self.nearest] = True
+        return frozen(np.flatnonzero(chosen))
+
+    @cached_property
+    def target_boxes(self) -> Float[np.ndarray, "W 5"]:
+        """Their boxes."""
+        return frozen(self.boxes[self.targets])
 
 
 @lru_cache(maxsize=4096)

@@ -24,8 +24,8 @@ from torch import Tensor
 from torch.nn import functional
 
 from cp_env.detector.model.base import moves_as_ours
-from cp_env.detector.model.decoder import Dense
-from cp_env.detector.model.warp import add_weighted
+from cp_env.detector.model.decoder import Dense, highest_neighbour
+from cp_env.detector.model.warp import add_weighted, weighted_moves
 from cp_env.detector.protocol import DetectorLike, LinearFusion
 from cp_env.perturbation.channel import inject
 
@@ -109,11 +109,13 @@ def attacked_output(
     detector: DetectorLike,
     received: Float[Tensor, "E N C H W"],
     coverage: Float[Tensor, "E N H W"],
-    attackers: Int[Tensor, "E k"],
-    ego_T_attacker: Float[Tensor, "E k 3"],
+    attackers: Int[Tensor, "T k"],
+    ego_T_attacker: Float[Tensor, "T k 3"],
     world: Int[Tensor, " B"],
     groups: Bool[Tensor, "B N"],
-) -> Callable[[Float[Tensor, "E k C H W"]], Dense]:
+    *,
+    worlds: Int[Tensor, " T"] | None = None,
+) -> Callable[[Float[Tensor, "T k C H W"]], Dense]:
     """The ego's output as a function of the attackers' δ, Eq. (1): of group `groups[b]` in world `world[b]`.
 
     Where the fusion is linear in the maps, the unperturbed ones are fused once and not at every call.
@@ -126,28 +128,32 @@ def attacked_output(
         ego_T_attacker: their poses in the ego's frame; m, m, rad.
         world: the world of each view.
         groups: the vehicles fused in each view.
+        worlds: which of E worlds the T are that δ is given for; all of them by default. `detector` is bound to these
+            alone.
 
     Returns:
         A function from δ, in the attackers' own frames, to the decoder's output; differentiable.
     """
-    weights = detector.linear_weights(coverage, world, groups) if isinstance(detector, LinearFusion) else None
+    row = world if worlds is None else worlds[world]
+    weights = detector.linear_weights(coverage, row, groups) if isinstance(detector, LinearFusion) else None
     if weights is None or not isinstance(detector, LinearFusion):
+        if worlds is not None:
+            received, coverage = received[worlds], coverage[worlds]
 
-        def general(delta: Float[Tensor, "E k C H W"]) -> Dense:
+        def general(delta: Float[Tensor, "T k C H W"]) -> Dense:
             attacked = inject(received, detector.warp(delta, ego_T_attacker), attackers)
             return detector.perceive(attacked, coverage, world, groups)
 
         return general
 
-    benign = detector.fuse(received, coverage, world, groups)
+    benign = detector.fuse(received, coverage, row, groups)
     share = torch.take_along_dim(weights, attackers[world][..., None, None], 1)[:, :, None]
-    one_each = torch.equal(world, torch.arange(len(received), device=world.device))
+    one_each = torch.equal(world, torch.arange(len(attackers), device=world.device))
+    moves = weighted_moves(share, world, ego_T_attacker, detector.extent) if moves_as_ours(detector) else None
 
-    def linear(delta: Float[Tensor, "E k C H W"]) -> Dense:
-        if moves_as_ours(detector):
-            fused = add_weighted(benign, share, world, delta, ego_T_attacker, detector.extent)
-            if fused is not None:
-                return detector.decode(fused)
+    def linear(delta: Float[Tensor, "T k C H W"]) -> Dense:
+        if moves is not None:
+            return detector.decode(add_weighted(benign, delta, moves))
         warped = detector.warp(delta, ego_T_attacker)
         return detector.decode(benign + ((warped if one_each else warped[world]) * share).sum(1))
 
@@ -166,7 +172,7 @@ def _capped(logits: Float[Tensor, "..."]) -> Float[Tensor, "..."]:
 
 def _near(objects: Float[Tensor, "B h w"]) -> Bool[Tensor, "B h w"]:
     """The cells that are object cells or touch one: no place for a ghost."""
-    return functional.max_pool2d(objects.unsqueeze(1), kernel_size=3, stride=1, padding=1).squeeze(1) > 0
+    return highest_neighbour(objects) > 0
 
 
 def _ghosts(

@@ -15,10 +15,8 @@ from torch import Tensor
 
 from cp_env.detector.model.decoder import Dense
 from cp_env.detector.protocol import DetectorLike, with_ego_context
-from cp_env.metrics.critical import critical_recall
-from cp_env.metrics.severity import ghost_severity, miss_severity
+from cp_env.metrics.driving import DrivingMeasures
 from cp_env.metrics.surroundings import Surroundings, frozen_scene, surroundings
-from cp_env.metrics.targeted import removable, removed, spoofed
 from cp_env.types import Scene, View, frozen
 from cp_env.world.episode import Episode
 from cp_env.world.verification import Judgement
@@ -165,42 +163,51 @@ class Outcome(SimulatedOutcome):
         Raises:
             ValueError: the outcome was made by hand, without `traffic`.
         """
+        return tuple(copy.copy(around) for around in self._traffic_around)
+
+    @cached_property
+    def _traffic_around(self) -> tuple[Surroundings, ...]:
+        """The referee's own: what is computed of them is kept for all later outcomes of their frame."""
         if len(self.traffic) != len(self.truth):
             raise ValueError(
                 "driving measures need the outcome's `traffic`: give (scene, frame, extent) for each world"
             )
-        return tuple(copy.copy(surroundings(scene, frame, extent)) for scene, frame, extent in self.traffic)
+        return tuple(surroundings(scene, frame, extent) for scene, frame, extent in self.traffic)
 
     @cached_property
+    def _driving(self) -> DrivingMeasures:
+        boxes = [judgement.output.seen.boxes for judgement in self.judgements]
+        return DrivingMeasures(boxes, self.clean, self._traffic_around)
+
+    @property
     def critical(self) -> Int[np.ndarray, "E 2"]:
         """How many critical vehicles the output finds, and how many there are; see `metrics.critical`."""
-        return self._driving(critical_recall, np.int64)
+        return self._driving.critical
 
-    @cached_property
+    @property
     def miss_severity(self) -> Float[np.ndarray, " E"]:
         """The hardest braking that a vehicle demands which the output misses; m/s². See `metrics.severity`."""
-        return self._driving(lambda boxes, around: miss_severity(boxes, around).max(initial=0.0), np.float64)
+        return self._driving.miss_severity
 
-    @cached_property
+    @property
     def ghost_severity(self) -> Float[np.ndarray, " E"]:
         """The hardest braking that a ghost of the output demands; m/s²."""
-        return self._driving(ghost_severity, np.float64)
+        return self._driving.ghost_severity
 
-    @cached_property
+    @property
     def removable(self) -> Bool[np.ndarray, " E"]:
         """Whether the nearest vehicle is found in the clean view; see `metrics.targeted`."""
-        pairs = zip(self.clean, self.surroundings, strict=True)
-        return frozen(np.array([removable(clean.seen.boxes, around) for clean, around in pairs]))
+        return self._driving.removable
 
-    @cached_property
+    @property
     def removed(self) -> Bool[np.ndarray, " E"]:
         """Whether it is, and is missing in the output."""
-        return self._targeted(removed)
+        return self._driving.removed
 
-    @cached_property
+    @property
     def spoofed(self) -> Bool[np.ndarray, " E"]:
         """Whether the output holds a critical ghost that the clean view does not hold."""
-        return self._targeted(spoofed)
+        return self._driving.spoofed
 
     @property
     def decodes(self) -> Int[np.ndarray, " E"]:
@@ -210,17 +217,6 @@ class Outcome(SimulatedOutcome):
                 len({seen.group, judgement.output.group, *(group & seen.group for group in judgement.groups)})
                 for seen, judgement in zip(self.seen, self.judgements, strict=True)
             ]
-        )
-
-    def _driving(self, measure: Callable[..., Any], kind: type) -> np.ndarray:
-        """A measure of the boxes that each ego acts on, in its traffic."""
-        pairs = zip(self.output, self.surroundings, strict=True)
-        return frozen(np.array([measure(output.seen.boxes, around) for output, around in pairs], dtype=kind))
-
-    def _targeted(self, success: Callable[..., bool]) -> Bool[np.ndarray, " E"]:
-        both = zip(self.output, self.clean, self.surroundings, strict=True)
-        return frozen(
-            np.array([success(output.seen.boxes, clean.seen.boxes, around) for output, clean, around in both])
         )
 
 

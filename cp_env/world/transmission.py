@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from cp_env.perturbation import channel
@@ -21,9 +22,9 @@ PLAIN = (Tensor, torch.nn.Parameter)
 ROUNDING = 1e-5
 """Share of Δ by which single precision may exceed it after the projection."""
 
-TOGETHER = {"cpu": 2}
-"""Perturbations that are checked and added in one go, by kind of device: as many as stay in a core's own cache. All of
-them elsewhere."""
+TOGETHER = {"cpu": 1 << 20}
+"""Bytes of perturbations that are checked and added in one go, by kind of device: as many as stay in a core's own
+cache. All of them elsewhere."""
 
 
 def transmit(situation: Situation, delta: object, settings: Settings) -> Float[np.ndarray, "E k"]:
@@ -42,17 +43,14 @@ def transmit(situation: Situation, delta: object, settings: Settings) -> Float[n
     """
     maps, attackers = situation.received, situation.attackers
     plain = _plain(delta, (*attackers.shape, *maps.shape[2:])).to(maps.device)
-    if not all(bool(torch.isfinite(channel.norm_of(one, settings.norm)).all()) for one in _together(plain)):
-        raise ValueError("a perturbation must be finite, but it holds NaN or infinity; check the attack")
     norms = torch.zeros(attackers.shape, device=maps.device)
-    sending = torch.nonzero(situation.active[:, None] & situation.present.gather(1, attackers))
-    for part in _together(sending):
+    sending = situation.active[:, None] & situation.present.gather(1, attackers)
+    for part in _together(torch.nonzero(~sending), plain):
+        _finite(plain[part.unbind(1)], settings.norm)
+    for part in _together(torch.nonzero(sending), plain):
         world, slot = part.unbind(1)
         vehicle, mine = attackers[world, slot], plain[world, slot]  # a copy: nobody else can change it any more
-        bounded = channel.project(mine, settings.budget, settings.norm)
-        sent = channel.norm_of(bounded, settings.norm)
-        if not bool((sent <= settings.budget * (1 + ROUNDING)).all()):
-            raise ValueError(f"‖δ‖ must be at most Δ = {settings.budget}, not {float(sent.max())}; it was not sent")
+        bounded, sent = _bounded(mine, settings)
         norms[world, slot] = sent
         rows = (world * maps.shape[1] + vehicle).tolist()
         received.add(situation.detector, maps.flatten(0, 1), rows, bounded, situation.ego_T_sender[world, vehicle])
@@ -70,9 +68,32 @@ def unperturbed_after(situation: Situation) -> Iterator[None]:
         situation.received[worlds, situation.attackers] = before
 
 
-def _together(rows: Tensor) -> tuple[Tensor, ...]:
+def _bounded(
+    mine: Float[Tensor, "R C H W"], settings: Settings
+) -> tuple[Float[Tensor, "R C H W"], Float[Tensor, " R"]]:
+    """The perturbations inside the ball, and their norms: what is inside already needs no projection."""
+    norm = _finite(mine, settings.norm)
+    if not bool((norm <= settings.budget).all()):
+        mine = channel.project(mine, settings.budget, settings.norm)
+        norm = channel.norm_of(mine, settings.norm)
+    if not bool((norm <= settings.budget * (1 + ROUNDING)).all()):
+        raise ValueError(f"‖δ‖ must be at most Δ = {settings.budget}, not {float(norm.max())}; it was not sent")
+    return mine, norm
+
+
+def _finite(delta: Float[Tensor, "R C H W"], norm: str) -> Float[Tensor, " R"]:
+    """The norms, which must be finite."""
+    norms = channel.norm_of(delta, norm)
+    if not bool(torch.isfinite(norms).all()):
+        raise ValueError("a perturbation must be finite, but it holds NaN or infinity; check the attack")
+    return norms
+
+
+def _together(rows: Int[Tensor, "R 2"], delta: Float[Tensor, "E k C H W"]) -> tuple[Tensor, ...]:
     """The rows in parts that are worked on in one go."""
-    return rows.split(TOGETHER.get(rows.device.type, max(len(rows), 1)))
+    one = 4 * math.prod(delta.shape[2:])
+    most = TOGETHER.get(delta.device.type)
+    return rows.split(max(most // one, 1) if most else max(len(rows), 1))
 
 
 def _plain(delta: object, shape: tuple[int, ...]) -> Tensor:

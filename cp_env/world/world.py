@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
+from itertools import chain
 from pathlib import Path
 from typing import Any, Unpack
 
@@ -19,7 +20,7 @@ import defenders
 from cp_env.detector.model.decoder import Dense
 from cp_env.detector.protocol import DetectorLike, fusion_of, with_ego_context
 from cp_env.detector.registry import open_detector
-from cp_env.metrics import similarity
+from cp_env.metrics.device_similarity import matching_on
 from cp_env.scenes import open_source
 from cp_env.settings import WORLD_DEFAULTS, Options, Settings
 from cp_env.types import SceneSource, View
@@ -115,6 +116,7 @@ class World:
             bank.check(self.settings.n_vehicles, self.settings.rsu)
         self.num_envs, self.bank, self.detector = num_envs, bank, bank.detector
         self.device = self.detector.device
+        self._compare, self._jaccard = matching_on(self.device)
         prototype = defenders.make(defender)
         self._worlds = [_State(Stream.of(np.random.SeedSequence()), copy.deepcopy(prototype)) for _ in range(num_envs)]
         for state in self._worlds:
@@ -204,7 +206,10 @@ class World:
 
     def _rows(self, groups: Sequence[frozenset[int]]) -> Bool[np.ndarray, "B N"]:
         """Groups as rows of a mask."""
-        return np.array([[i in group for i in range(self.settings.n_maps)] for group in groups], dtype=bool)
+        rows = np.zeros((len(groups), self.settings.n_maps), dtype=bool)
+        numbers = [len(group) for group in groups]
+        rows[np.repeat(np.arange(len(groups)), numbers), list(chain.from_iterable(groups))] = True
+        return rows
 
     @property
     def defenders(self) -> tuple[Defender, ...]:
@@ -311,7 +316,7 @@ class World:
             seen = perceive(list(enumerate(self._present())))
             states = zip(self._worlds, seen, strict=True)
             frames = [Frame(s.frame, self.settings.n_maps, view, s.output) for s, view in states]
-            return self._outcome(frames, judge(frames, defenders, perceive), norms, clean)
+            return self._outcome(frames, judge(frames, defenders, perceive, self._compare), norms, clean)
 
     def _perceiver(self, situation: Situation) -> Callable[[list[Pair]], list[View]]:
         """The one masked forward that answers any list of (world, group), of the maps as they are when it is asked."""
@@ -346,7 +351,7 @@ class World:
             1.0 if s.output is None else f.similarity(f.seen, s.output)
             for f, s in zip(frames, self._worlds, strict=True)
         ]
-        kept = similarity.jaccard_many([j.output.seen.boxes for j in judgements], [c.seen.boxes for c in clean])
+        kept = self._jaccard([j.output.seen.boxes for j in judgements], [c.seen.boxes for c in clean])
         over = [
             s.frame + 1 >= self.settings.max_frames or t + 1 >= episode.scene.n_frames or j.error is not None
             for s, (episode, t), j in zip(self._worlds, places, judgements, strict=True)

@@ -6,13 +6,14 @@ from itertools import chain, pairwise
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from cp_env.detector.model import warp
 from cp_env.detector.model.decoder import Dense, peaks
 from cp_env.detector.model.fingerprint import fingerprint
 from cp_env.geometry.boxes import nms_batch
+from cp_env.geometry.device_boxes import suppressed
 from cp_env.types import Detections
 
 MOST_BOXES = 80
@@ -52,14 +53,26 @@ class BaseDetector(nn.Module):
 
         `own` is where the ego stands in its grid frame in each view, m; at the origin by default.
         """
-        scores, boxes = (array.cpu().numpy() for array in peaks(dense, self.floor, self.extent, MOST_BOXES))
+        found = peaks(dense, self.floor, self.extent, MOST_BOXES)
+        if found[0].device.type != "cpu":
+            return self._detected(*found, own)
+        scores, boxes = (array.numpy() for array in found)
         centre = boxes[..., :2]
         apart = np.linalg.norm(centre - (0.0 if own is None else own[:, None]), axis=-1) > OWN_RADIUS
         valid = (scores > 0) & apart & (np.abs(centre) <= self.extent).all(axis=-1)
         boxes, scores, views = boxes[valid], scores[valid], np.nonzero(valid)[0]
         stay = nms_batch(boxes, scores, views, NMS_IOU)
-        ends = np.searchsorted(views[stay], np.arange(len(dense.logits) + 1))
-        return [Detections(boxes[stay[a:b]], scores[stay[a:b]]) for a, b in pairwise(ends)]
+        return _split(boxes[stay], scores[stay], np.bincount(views[stay], minlength=len(dense.logits)))
+
+    def _detected(
+        self, scores: Float[Tensor, "B K"], boxes: Float[Tensor, "B K 5"], own: Float[np.ndarray, "B 2"] | None
+    ) -> list[Detections]:
+        """The same on a device: all views at once, and one transfer of what is left."""
+        centre = boxes[..., :2]
+        place = torch.zeros(2) if own is None else torch.from_numpy(own)[:, None]
+        apart = (centre - place.to(boxes.device)).norm(dim=-1) > OWN_RADIUS
+        stays = suppressed(boxes, (scores > 0) & apart & (centre.abs() <= self.extent).all(-1), NMS_IOU)
+        return _split(boxes[stays].cpu().numpy(), scores[stays].cpu().numpy(), stays.sum(1).cpu().numpy())
 
     def freeze(self) -> BaseDetector:
         """Make this the victim: evaluation mode, no gradients to weights."""
@@ -96,3 +109,11 @@ class BaseDetector(nn.Module):
         """A fingerprint of the class's name, the thresholds, and all weights and buffers."""
         name = f"{type(self).__module__}.{type(self).__qualname__}"
         return fingerprint(self, f"{name} {self.size} {self.extent} {self.floor} {self.threshold}")
+
+
+def _split(
+    boxes: Float[np.ndarray, "L 5"], scores: Float[np.ndarray, " L"], counts: Int[np.ndarray, " B"]
+) -> list[Detections]:
+    """Boxes of all views, one view after the other, as one `Detections` a view."""
+    ends = np.concatenate([[0], np.cumsum(counts)])
+    return [Detections(boxes[a:b], scores[a:b]) for a, b in pairwise(ends.tolist())]

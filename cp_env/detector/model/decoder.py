@@ -72,6 +72,11 @@ def cell_centres(size: int, extent: float, like: Tensor) -> Float[Tensor, " size
     return (torch.arange(size, dtype=like.dtype, device=like.device) + 0.5) * (2 * extent / size) - extent
 
 
+def highest_neighbour(x: Float[Tensor, "B h w"]) -> Float[Tensor, "B h w"]:
+    """The largest entry of each cell's 3x3 neighbourhood."""
+    return _highest(_highest(x, -1), -2)
+
+
 def _highest(x: Float[Tensor, "B h w"], axis: int) -> Float[Tensor, "B h w"]:
     """The largest of each entry and its neighbours along an axis: what a pooling layer gives, many times as fast."""
     size, highest = x.shape[axis], x.clone()
@@ -88,7 +93,7 @@ def peaks(dense: Dense, floor: float, extent: float, most: int) -> tuple[Float[T
     """
     logits = dense.logits.detach()
     size = logits.shape[-1]
-    highest = _highest(_highest(logits, -1), -2)
+    highest = highest_neighbour(logits)
     lowest = torch.tensor(floor, dtype=logits.dtype).logit().item()
     candidates = torch.where((logits == highest) & (logits >= lowest), logits, -torch.inf).flatten(start_dim=1)
     n = min(most, candidates.shape[1])

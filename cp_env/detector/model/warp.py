@@ -10,7 +10,7 @@ Poses that shift by whole cells, as all grid frames on one lattice do, are not s
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -20,7 +20,6 @@ from torch.nn import functional
 
 Cells = list[tuple[int, int]]
 Window = tuple[slice, slice, slice]
-Move = tuple[int, int, int, tuple[int, int]]
 
 TOLERANCE = 1e-4
 """Cells by which a shift may miss a whole number: single precision over a few hundred metres."""
@@ -93,34 +92,65 @@ def _shifted(maps: Float[Tensor, "*n C H W"], cells: Cells) -> Float[Tensor, "*n
     return moved.view(maps.shape)
 
 
-def add_weighted(
-    fused: Float[Tensor, "B C H W"],
-    share: Float[Tensor, "B k 1 H W"],
-    world: Int[Tensor, " B"],
-    delta: Float[Tensor, "E k C H W"],
-    ego_T_sender: Float[Tensor, "E k 3"],
-    extent: float,
-) -> Float[Tensor, "B C H W"] | None:
-    """Fused maps with the share of each δ that it has in a group's mean, moved by whole cells; differentiable in δ.
+class Moves(NamedTuple):
+    """Where the cells of each δ go in the fused maps, and with which weight: one entry a fused map and δ."""
+
+    fused: list[int]  # numbers of the fused maps
+    delta: list[int]  # rows of the δ, worlds and slots in one
+    to: list[slice]  # cells of the fused map, row after row
+    of: list[slice]  # cells of δ
+    share: list[Float[Tensor, "1 cells"]]  # weight of each of them; zero where a row ends on the other side
+    once: bool  # whether every δ goes to one fused map only
+
+
+def weighted_moves(
+    share: Float[Tensor, "B k 1 H W"], world: Int[Tensor, " B"], ego_T_sender: Float[Tensor, "E k 3"], extent: float
+) -> Moves | None:
+    """How the attackers' δ come into the means of some groups.
 
     Args:
-        fused: without perturbations, of any precision.
         share: weight of every δ in each cell of the fused map.
         world: the world of each fused map.
-        delta: in the senders' frames.
         ego_T_sender: poses of the senders; m, m, rad.
         extent: half the side of a map, m.
 
     Returns:
-        The sum, in the precision of `fused`; None if a map moves by anything but whole cells, or is elsewhere than on
-        the CPU, where map by map is no faster.
+        What `add_weighted` needs; None if a map moves by anything but whole cells, or is elsewhere than on the CPU,
+        where map by map is no faster.
     """
-    cells = whole_cells(ego_T_sender, fused.shape[-1], extent)
-    if cells is None or fused.device.type != "cpu":
+    size, k = share.shape[-1], share.shape[1]
+    cells = whole_cells(ego_T_sender, size, extent) if share.device.type == "cpu" else None
+    if cells is None:
         return None
-    k = delta.shape[1]
-    moves = [(b, e, j, cells[e * k + j]) for b, e in enumerate(world.tolist()) for j in range(k)]
-    added: Tensor = _AddWeighted.apply(fused, share, delta, moves)
+    moves = Moves([], [], [], [], [], once=len(world.unique()) == len(world))
+    for b, e in enumerate(world.tolist()):
+        for j in range(k):
+            shift = cells[e * k + j]
+            inside, (to, of) = _overlap(shift, size)[0], _run(shift, size)
+            kept = torch.zeros_like(share[b, j])
+            kept[inside] = share[b, j][inside]
+            moves.fused.append(b)
+            moves.delta.append(e * k + j)
+            moves.to.append(to)
+            moves.of.append(of)
+            moves.share.append(kept.flatten(1)[:, to])
+    return moves
+
+
+def add_weighted(
+    fused: Float[Tensor, "B C H W"], delta: Float[Tensor, "E k C H W"], moves: Moves
+) -> Float[Tensor, "B C H W"]:
+    """Fused maps with the share of each δ that it has in a group's mean, moved by whole cells; differentiable in δ.
+
+    Args:
+        fused: without perturbations, of any precision.
+        delta: in the senders' frames.
+        moves: see `weighted_moves`.
+
+    Returns:
+        The sum, in the precision of `fused`.
+    """
+    added: Tensor = _AddWeighted.apply(fused, delta, moves)
     return added
 
 
@@ -128,23 +158,32 @@ class _AddWeighted(torch.autograd.Function):
     """Map by map, so that each stays in the processor's cache; the gradient goes the same way back."""
 
     @staticmethod
-    def forward(ctx: Any, fused: Tensor, share: Tensor, delta: Tensor, moves: list[Move]) -> Tensor:
-        ctx.save_for_backward(share)
+    def forward(ctx: Any, fused: Tensor, delta: Tensor, moves: Moves) -> Tensor:
         ctx.moves, ctx.shape, ctx.dtype = moves, delta.shape, delta.dtype
-        added = fused.clone()
-        for b, e, j, shift in moves:
-            to, of = _overlap(shift, fused.shape[-1])
-            added[b][to] += delta[e, j][of] * share[b, j][to]
+        added, sent = fused.clone(), delta.flatten(0, 1).flatten(2).unbind()
+        rows, product = added.flatten(2).unbind(), torch.empty_like(sent[0])
+        for b, i, to, of, share in zip(*moves[:5], strict=True):
+            rows[b][:, to].add_(torch.mul(sent[i][:, of], share, out=product[:, of]))
         return added
 
     @staticmethod
-    def backward(ctx: Any, *gradients: Tensor) -> tuple[None, None, Tensor, None]:
-        (gradient,), (share,) = gradients, ctx.saved_tensors
-        back = torch.zeros(ctx.shape, dtype=ctx.dtype)
-        for b, e, j, shift in ctx.moves:
-            to, of = _overlap(shift, gradient.shape[-1])
-            back[e, j][of] += gradient[b][to] * share[b, j][to]
-        return None, None, back, None
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[None, Tensor, None]:
+        (gradient,) = gradients
+        back, rows = torch.zeros(ctx.shape, dtype=ctx.dtype), gradient.flatten(2).unbind()
+        places = back.flatten(0, 1).flatten(2).unbind()
+        for b, i, to, of, share in zip(*ctx.moves[:5], strict=True):
+            if ctx.moves.once:  # nothing is there to add to
+                torch.mul(rows[b][:, to], share, out=places[i][:, of])
+            else:
+                places[i][:, of].add_(rows[b][:, to] * share)
+        return None, back, None
+
+
+def _run(shift: tuple[int, int], size: int) -> tuple[slice, slice]:
+    """The cells of a moved map, row after row, that are filled, and those of the map that they come from."""
+    cells = size * size
+    by = max(-cells, min(cells, shift[1] * size + shift[0]))
+    return slice(max(0, by), cells + min(0, by)), slice(max(0, -by), cells - max(0, by))
 
 
 def _overlap(shift: tuple[int, int], size: int) -> tuple[Window, Window]:

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from cp_env.detector.model.decoder import cell_centres
 from cp_env.envs.actions.base import ActionMap
 from cp_env.perturbation.ball import ascend, make_ball
-from cp_env.perturbation.objective import attacked_output, distance_from
+from cp_env.perturbation.objective import Loss, attacked_output, distance_from
 from cp_env.world.situation import Situation
 
 
@@ -65,14 +66,21 @@ class Guided(ActionMap):
 
     def __call__(self, actions: Float[np.ndarray, "E k *a"], situation: Situation) -> Float[Tensor, "E k C H W"]:
         guidance = Guidance.read(torch.from_numpy(actions).to(situation.device), situation.detector.extent)
-        start = self._carried(situation)
-        fires = (guidance.fires * situation.active[:, None])[..., None, None, None]
-        radius = (guidance.strength * situation.budget)[..., None, None, None] * fires
-        delta = make_ball(situation.norm).project(start * guidance.persistence[..., None, None, None], radius)
-        useful = situation.fused.gather(1, situation.attackers) & (radius.flatten(1) > 0)
+        delta = self._steered(guidance, situation)
+        self._keep(delta, guidance.fires * situation.active[:, None])
+        return delta
+
+    def _steered(self, guidance: Guidance, situation: Situation) -> Float[Tensor, "E k C H W"]:
+        """The δ that the attackers want; zero for those that do not fire."""
+        last, ball = self._carried(situation), make_ball(situation.norm)
+        radius = guidance.strength * situation.budget * (guidance.fires * situation.active[:, None])
+        share, reach = (one[..., None, None, None] for one in (guidance.persistence, radius))
+        delta = torch.empty_like(last)
+        for part in _parts(delta):
+            delta[part] = ball.project(last[part] * share[part], reach[part])
+        useful = situation.fused.gather(1, situation.attackers) & (radius > 0)
         if bool(useful.any()):
-            delta = self._ascend(delta, radius, useful, guidance, situation)
-        self._last = torch.where(fires > 0, delta, start)  # an attacker that pauses keeps its last perturbation
+            self._ascend(delta, reach, useful, guidance, situation)
         return delta
 
     def _carried(self, situation: Situation) -> Float[Tensor, "E k C H W"]:
@@ -83,37 +91,75 @@ class Guided(ActionMap):
         self._stale = []
         return self._last
 
+    def _keep(self, delta: Float[Tensor, "E k C H W"], fires: Float[Tensor, "E k"]) -> None:
+        """Keep what was sent; an attacker that pauses keeps its last perturbation."""
+        assert self._last is not None
+        fired = (fires > 0)[..., None, None, None]
+        for part in _parts(delta):
+            torch.where(fired[part], delta[part], self._last[part], out=self._last[part])
+
     def _ascend(
-        self, delta: Tensor, radius: Tensor, useful: Tensor, guidance: Guidance, situation: Situation
-    ) -> Float[Tensor, "E k C H W"]:
-        busy = useful.any(1).nonzero()[:, 0]  # worlds in which a perturbation can still reach the ego
+        self,
+        delta: Float[Tensor, "E k C H W"],
+        reach: Float[Tensor, "E k 1 1 1"],
+        useful: Bool[Tensor, "E k"],
+        guidance: Guidance,
+        situation: Situation,
+    ) -> None:
+        """Move δ, in place, by `steps` steps of ascent; only in worlds where a perturbation can still reach the ego."""
+        busy = useful.any(1).nonzero()[:, 0]
         weights = guidance.fires[busy] * useful[busy]
         weights = weights / weights.sum(1, keepdim=True).clamp(min=1)
-        attackers = situation.attackers[busy]
-        poses = situation.ego_T_sender[busy].gather(1, attackers[..., None].expand(-1, -1, 3))
-        clean = type(situation.clean)(situation.clean.logits[busy], situation.clean.boxes[busy])
         where = (_aim(guidance, situation)[busy] * weights[..., None, None]).sum(1)
         spoof, drift = (weights * guidance.spoof[busy]).sum(1), (weights * guidance.drift[busy]).sum(1)
-        moving, reach, ball = delta[busy], radius[busy], make_ball(situation.norm)
+        for rows in torch.arange(len(busy)).split(TOGETHER.get(delta.device.type, len(busy))):
+            worlds, few = busy[rows], slice(int(rows[0]), int(rows[-1]) + 1)
+            clean = type(situation.clean)(situation.clean.logits[worlds], situation.clean.boxes[worlds])
+            damage = distance_from(clean, hide=1 - spoof[few], spoof=spoof[few], drift=drift[few], where=where[few])
+            delta[worlds] = self._ascended(delta[worlds], reach[worlds], worlds, damage, situation)
+
+    def _ascended(
+        self,
+        delta: Float[Tensor, "B k C H W"],
+        reach: Float[Tensor, "B k 1 1 1"],
+        worlds: Int[Tensor, " B"],
+        damage: Loss,
+        situation: Situation,
+    ) -> Float[Tensor, "B k C H W"]:
+        """The δ of some worlds, after the ascent."""
+        attackers, ball = situation.attackers[worlds], make_ball(situation.norm)
         perceive = attacked_output(
-            situation.ego_detector(busy),
-            situation.received[busy],
-            situation.coverage[busy],
+            situation.ego_detector(worlds),
+            situation.received,
+            situation.coverage,
             attackers,
-            poses,
-            torch.arange(len(busy), device=busy.device),
-            situation.fused[busy],
+            torch.take_along_dim(situation.ego_T_sender[worlds], attackers[..., None], 1),
+            torch.arange(len(worlds), device=worlds.device),
+            situation.fused[worlds],
+            worlds=worlds,
         )
-        damage = distance_from(clean, hide=1 - spoof, spoof=spoof, drift=drift, where=where)
         for _ in range(self.steps):
-            moving = moving.detach().requires_grad_()
+            leaf = delta.detach().requires_grad_()
             with torch.enable_grad():
-                (gradient,) = torch.autograd.grad(damage(perceive(moving)).sum(), moving)
-            direction = ball.steepest(gradient) * _strong(gradient, situation.norm)
-            moving = ascend(ball, moving.detach(), direction * reach, 2.0 / self.steps, reach)
-        result = delta.clone()
-        result[busy] = moving
-        return result
+                (gradient,) = torch.autograd.grad(damage(perceive(leaf)).sum(), leaf)
+            for part in _parts(delta):
+                length = _strong(gradient[part], situation.norm) * reach[part]
+                direction = ball.steepest(gradient[part]).mul_(length)
+                delta[part] = ascend(ball, delta[part], direction, 2.0 / self.steps, reach[part])
+        return delta
+
+
+TOGETHER = {"cpu": 16}
+"""Worlds whose gradient is taken in one go, by kind of device; all of them elsewhere."""
+
+ONE = {"cpu": 1}
+"""Worlds whose δ is changed in one go: as many as stay in a core's own cache."""
+
+
+def _parts(delta: Float[Tensor, "B k C H W"]) -> Iterator[slice]:
+    """The worlds in parts that are worked on in one go."""
+    step = ONE.get(delta.device.type, max(len(delta), 1))
+    return (slice(start, start + step) for start in range(0, len(delta), step))
 
 
 def _aim(guidance: Guidance, situation: Situation) -> Float[Tensor, "E k h w"]:

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from cp_env.envs.actions.guided import Guided
+from cp_env.envs.actions.guided import Guidance, Guided
 from cp_env.world.counterfactual import similarities, views_under
 from cp_env.world.situation import Situation
 
@@ -40,8 +40,8 @@ class SimilarityBounded(Guided):
     def __call__(self, actions: Float[np.ndarray, "E k *a"], situation: Situation) -> Float[Tensor, "E k C H W"]:
         steering, floors = read(actions)
         device, floor = situation.device, torch.from_numpy(floors.mean(axis=1))
-        before = self._carried(situation)
-        wanted = super().__call__(steering, situation)
+        guidance = Guidance.read(torch.from_numpy(steering).to(device), situation.detector.extent)
+        before, wanted = self._carried(situation), self._steered(guidance, situation)
         fires = wanted.flatten(2).any(2)[..., None, None, None]
         start = before * fires  # an attacker that pauses sends nothing
         rungs = [start + share * (wanted - start) for share in np.linspace(1, 0, RUNGS).tolist()]

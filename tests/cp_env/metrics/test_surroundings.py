@@ -8,7 +8,7 @@ import pytest
 from cp_env.metrics.ground_truth import truth_boxes
 from cp_env.metrics.surroundings import Surroundings, frozen_scene, surroundings
 from cp_env.scenes import open_source
-from tests.helpers.roads import driving, road
+from tests.helpers.roads import boxes_at, driving, road
 
 EXTENT = 32.0
 
@@ -45,6 +45,21 @@ def test_boxes_taken_as_standing_demand_what_a_standing_car_would() -> None:
     ghost = np.array([[16.0, 0.0, 4.0, 2.0, 0.0]])
     assert around().standing(ghost).deceleration == pytest.approx([100 / (2 * (12 - 2))])
     assert around().standing(ghost[:0]).critical.shape == (0,)
+
+
+def test_any_is_critical_where_one_is_by_its_gap_or_its_time() -> None:
+    near, soon, crossing = boxes_at((9, 0)), boxes_at((26, 0)), boxes_at((0, 20))
+    for boxes in (near, soon, crossing, np.concatenate([crossing, soon]), near[:0]):
+        shown = around().standing(boxes)
+        assert shown.any_critical == shown.critical.any()
+    assert around().standing(soon).any_critical and not around().standing(crossing).any_critical
+
+
+def test_targets_are_the_critical_and_the_nearest() -> None:
+    seen = around(driving(20, 8, 10, 3), driving(11, 0, 10, 3), driving(30, 0, 0, 3))
+    assert seen.targets.tolist() == [1, 2] and np.array_equal(seen.target_boxes, seen.boxes[1:])
+    assert around(driving(20, 9, 10, 3)).targets.tolist() == [0], "the nearest, though it is not critical"
+    assert around().targets.tolist() == []
 
 
 def test_its_rows_are_those_of_the_ground_truth() -> None:

@@ -8,7 +8,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cp_env.perturbation.channel import inject, norm_of, project
+from cp_env.perturbation.channel import NORMS, inject, norm_of, project
 
 DELTA = torch.randn(3, 2, 4, 5, 5, generator=torch.Generator().manual_seed(1))
 
@@ -41,3 +41,12 @@ def test_perturbations_are_added_to_the_attackers_rows_only() -> None:
     attacked = inject(received, perturbations, torch.tensor([[0, 3], [1, 2]]))
     assert np.array_equal(attacked.amax((2, 3, 4)).numpy(), [[1, 0, 0, 1], [0, 2, 2, 0]])
     assert not received.any()
+
+
+@pytest.mark.parametrize("norm", NORMS)
+def test_balls_of_their_own_sizes_are_projected_onto_as_each_by_itself(norm: str) -> None:
+    deltas = torch.randn(3, 2, 4, 4, generator=torch.Generator().manual_seed(0))
+    budgets = [0.0, 0.5, 100.0]
+    together = project(deltas, torch.tensor(budgets)[:, None, None, None], norm)
+    alone = [project(one[None], budget, norm)[0] for one, budget in zip(deltas, budgets, strict=True)]
+    assert torch.equal(together, torch.stack(alone))

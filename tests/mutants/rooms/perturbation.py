@@ -109,8 +109,8 @@ MUTANTS = (
     Mutant(
         "ghosts-beside-objects",
         f"{FOLDER}objective.py",
-        "kernel_size=3, stride=1, padding=1",
-        "kernel_size=1, stride=1, padding=0",
+        "highest_neighbour(objects) > 0",
+        "objects > 0",
         OBJECTIVE,
     ),
     Mutant(
@@ -144,8 +144,8 @@ MUTANTS = (
     Mutant(
         "norm-of-what-was-asked",
         "cp_env/world/transmission.py",
-        "sent = channel.norm_of(bounded, settings.norm)",
-        "sent = channel.norm_of(mine, settings.norm)",
+        "norm = channel.norm_of(mine, settings.norm)",
+        "pass",
         TRANSMISSION,
     ),
 )

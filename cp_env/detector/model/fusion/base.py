@@ -39,8 +39,9 @@ class Fusion(nn.Module):
         if received.device.type not in ONE_BY_ONE:
             return self.together(received, coverage, world, groups)
         rows = list(zip(world.tolist(), groups.tolist(), strict=True))
-        maps = [one.unbind() for one in received.unbind()]
-        covers = [one.unbind() for one in coverage.to(received.dtype).unbind()]
+        here = {e for e, _ in rows}
+        maps = {e: received[e].unbind() for e in here}
+        covers = {e: coverage[e].to(received.dtype).unbind() for e in here}
         wanted = {(e, i): None for e, group in rows for i, member in enumerate(group) if member}
         sent = {(e, i): Sent(maps[e][i], covers[e][i], self.describe(maps[e][i])) for e, i in wanted}
         teams = [([sent[e, i] for i, member in enumerate(group) if member], group[0]) for e, group in rows]

@@ -7,6 +7,8 @@ import pytest
 import torch
 
 from cp_env.detector import Dense, Detector
+from cp_env.detector.model.base import MOST_BOXES
+from cp_env.detector.model.decoder import peaks
 from cp_env.detector.training.loss import targets
 from cp_env.geometry.boxes import pairwise_iou
 
@@ -63,6 +65,18 @@ def test_views_do_not_disturb_each_other() -> None:
     for found, alone in zip(together, (one, nothing, two), strict=True):
         (expected,) = DETECTOR.detect(alone)
         assert np.array_equal(found.boxes, expected.boxes) and np.array_equal(found.scores, expected.scores)
+
+
+def test_all_views_at_once_have_the_same_boxes_as_one_after_the_other() -> None:
+    """The way of a device, here: random outputs, whose boxes crowd each other, seen from egos in several places."""
+    generator = torch.Generator().manual_seed(0)
+    dense = Dense(torch.randn(6, SIZE, SIZE, generator=generator), torch.randn(6, 6, SIZE, SIZE, generator=generator))
+    for own in (None, np.random.default_rng(0).uniform(-5, 5, (6, 2))):
+        expected = DETECTOR.detect(dense, own)
+        found = DETECTOR._detected(*peaks(dense, DETECTOR.floor, EXTENT, MOST_BOXES), own)
+        for one, other in zip(found, expected, strict=True):
+            assert np.array_equal(one.boxes, other.boxes) and np.array_equal(one.scores, other.scores)
+            assert 0 < len(one.scores) < MOST_BOXES
 
 
 def test_nothing_asked_nothing_found() -> None:

@@ -137,8 +137,10 @@ def test_weighted_perturbations_are_warped_weighted_and_summed_and_so_is_their_g
     weight = torch.randn(3, 4, 32, 32, generator=generator)
     plain = fused + (warp(delta, pose, 32.0)[world] * share).sum(1)
     expected = torch.autograd.grad((plain * weight).sum(), delta)[0]
-    added = moving.add_weighted(fused, share, world, delta, pose, 32.0)
-    assert added is not None and added.dtype == precision
+    moves = moving.weighted_moves(share, world, pose, 32.0)
+    assert moves is not None
+    added = moving.add_weighted(fused, delta, moves)
+    assert added.dtype == precision
     loose = {"atol": 1e-5, "rtol": 1e-5} if precision == torch.float32 else {"atol": 0.05, "rtol": 0.02}
     torch.testing.assert_close(added.float(), plain.detach(), **loose)  # type: ignore[arg-type]
     found = torch.autograd.grad((added.float() * weight).sum(), delta)[0]
@@ -148,6 +150,6 @@ def test_weighted_perturbations_are_warped_weighted_and_summed_and_so_is_their_g
 def test_no_shortcut_for_maps_that_turn() -> None:
     pose = torch.tensor([[[0.0, 0.0, 0.3]]])
     target = torch.zeros(1, 1, 32, 32)
-    assert moving.add_weighted(target, torch.ones(1, 1, 1, 32, 32), torch.tensor([0]), target[None], pose, 32.0) is None
+    assert moving.weighted_moves(torch.ones(1, 1, 1, 32, 32), torch.tensor([0]), pose, 32.0) is None
     assert not moving.copy_into(target, [0], [torch.ones(1, 32, 32)], pose[0], 32.0) and not target.any()
     assert not moving.add_into(target, [0], torch.ones(1, 1, 32, 32), pose[0], 32.0) and not target.any()

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 import torch
 
+from cp_env.envs.actions import guided as module
 from cp_env.envs.actions.guided import Guidance
 from cp_env.envs.actions.registry import make_action
 from cp_env.perturbation.channel import norm_of
@@ -88,3 +90,20 @@ def test_persistence_starts_from_the_last_perturbation_and_reset_forgets_it(bank
 
 def test_nothing_is_sent_in_grace_frames(bank: SceneBank) -> None:
     assert not make_action("guided", 128, 32)(guided(), situation(bank, grace_frames=1)).any()
+
+
+def test_worlds_are_attacked_alike_in_any_parts(bank: SceneBank, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One after the other, in threes, or all at once: the gate of one is shut, and of one attacker of another."""
+    world = World(5, defender="none", bank=bank, n_attackers=2, grace_frames=0)
+    world.reset(list(range(5)))
+    actions = np.random.default_rng(0).uniform(-1, 1, (5, 2, 8)).astype(np.float32)
+    actions[..., 7] = 1.0
+    actions[1, :, 7] = actions[3, 0, 7] = -1.0
+    found = []
+    for together, one in ((1, 1), (3, 2), (16, 16)):
+        monkeypatch.setitem(module.TOGETHER, "cpu", together)
+        monkeypatch.setitem(module.ONE, "cpu", one)
+        steer = make_action("guided", bank.detector.channels, bank.detector.size)
+        found.append([steer(actions, world.current()).clone() for _ in range(2)])
+    assert all(torch.equal(a, b) for other in found[1:] for a, b in zip(other, found[0], strict=True))
+    assert not found[0][0][1].any() and not found[0][0][3, 0].any() and found[0][0].any()
