@@ -96,12 +96,15 @@ def test_the_same_seed_attacks_the_same_and_another_differently(spec: str) -> No
 
 @pytest.mark.parametrize("spec", FAMILY)
 def test_a_world_in_a_batch_is_attacked_as_alone(spec: str) -> None:
-    """The last world of three, with its own stream, against that world alone; its neighbours differ from it."""
+    """The last world of three, with its own stream, against that world alone; its neighbours differ from it.
+
+    A gradient that is zero but for rounding has any sign: from this stream none starts at such a place.
+    """
     many = situations.situation(MODEL, n_worlds=3)
     alone = situations.situation(MODEL, n_worlds=1, first=2)
     batched, single = (_made(spec, **FEW.get(spec, {})) for _ in range(2))
-    batched.reset(3, [np.random.default_rng(seed) for seed in (5, 6, 7)])
-    single.reset(1, [np.random.default_rng(7)])
+    batched.reset(3, [np.random.default_rng(seed) for seed in (5, 6, 9)])
+    single.reset(1, [np.random.default_rng(9)])
     for _ in range(2):
         torch.testing.assert_close(batched.act(many)[2:], single.act(alone), rtol=0, atol=1e-4)
 
@@ -183,7 +186,7 @@ def test_bad_input_says_what_to_do() -> None:
         agents.make("pgd", momentum=-1)
     with pytest.raises(ValueError, match="restarts counts the starts"):
         agents.make("bim", restarts=0)
-    with pytest.raises(ValueError, match="unknown objective 'hid'; known: both, hide, spoof, remove, plant"):
+    with pytest.raises(ValueError, match="unknown objective 'hid'; known: both, hide, spoof, detection_loss, remove, plant"):
         agents.make("pgd", objective="hid")
     with pytest.raises(ValueError, match="does not take these numbers"):
         agents.make("pgd", objective="hide@3")

@@ -23,7 +23,7 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="glibc's allocator")
 def test_blocks_of_one_size_ask_the_system_for_memory_a_few_times() -> None:
-    """A small block may lie in the gap that a large one left, so the second may ask once more. The fortieth does not."""
+    """A small block may lie in the gap that a large one left: the second asks once more, the fortieth does not."""
     asked = [
         int(subprocess.run([sys.executable, "-c", PROGRAM, how], capture_output=True, check=True, text=True).stdout)
         for how in ("keep", "leave")

@@ -59,15 +59,15 @@ MUTANTS = (
     Mutant(
         "the-roadside-unit-attacks",
         "cp_env/world/reset.py",
-        "attacker_rng.choice(settings.n_vehicles,",
+        "attacker_rng.choice(settings.n_suspects,",
         "attacker_rng.choice(settings.n_maps,",
         RESET_EDGES,
     ),
     Mutant(
         "the-ego-never-attacks",
         "cp_env/world/reset.py",
-        "attacker_rng.choice(settings.n_vehicles, settings.k, replace=False)",
-        "(1 + attacker_rng.choice(settings.n_vehicles - 1, settings.k, replace=False))",
+        "attacker_rng.choice(settings.n_suspects, settings.k, replace=False)",
+        "(1 + attacker_rng.choice(settings.n_suspects - 1, settings.k, replace=False))",
         RESET_EDGES,
     ),
     Mutant("the-stream-stands-still", "cp_env/world/reset.py", "stream=stream.next()", "stream=stream", RESET),
