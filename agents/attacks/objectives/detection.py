@@ -76,5 +76,3 @@ def unattacked_targets(situation: Situation) -> list[Targets]:
         boxes = torch.from_numpy(view.seen.boxes.copy())
         drawn.append(decoder_targets(boxes, torch.ones(1, len(boxes), dtype=torch.bool), size, extent))
     return drawn
-
-
