@@ -116,7 +116,7 @@ def test_splits_versions_and_scenes(written: Path) -> None:
 def test_one_vehicle_is_no_fleet(thin: Path) -> None:
     with pytest.raises(ValueError, match="recorded by one vehicle: vehicles must be 1, not 2; sources with more are"):
         open_source(f"nuscenes:{thin}?vehicles=2")
-    with pytest.raises(ValueError, match="holds only 1 connected vehicles"):
+    with pytest.raises(ValueError, match="holds only 1 connected vehicle; choose other scenes"):
         cp_env.parallel_env("ego_only", scenes=f"nuscenes:{thin}?progress=no", n_vehicles=2, n_attackers=1)
 
 
