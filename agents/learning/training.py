@@ -29,6 +29,7 @@ from agents.sb3 import AdversaryVecEnv, make_vec_env
 from cp_env.detector.registry import precise
 from cp_env.evaluation import Conditions
 from cp_env.settings import Action, Fusion, Knowledge, Precision, RewardName, Settings
+from cp_env.world.scene_cache import SceneBank
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -199,7 +200,8 @@ def _environment(recipe: Recipe) -> AdversaryVecEnv:
     )
 
 
-def _held_back(recipe: Recipe) -> Callable[[Policy], Episodes]:
+def held_back_scenes(recipe: Recipe) -> tuple[SceneBank, Conditions]:
+    """The scenes that a recipe evaluates on and does not learn on, and the conditions under which they are played."""
     bank = open_bank(recipe.holdout, recipe.n_holdout, recipe.victim, recipe.fusion)
     conditions = Conditions(
         scenes=bank.source,
@@ -208,6 +210,11 @@ def _held_back(recipe: Recipe) -> Callable[[Policy], Episodes]:
         n_vehicles=recipe.n_vehicles,
         fusion=recipe.fusion,
     )
+    return bank, conditions
+
+
+def _held_back(recipe: Recipe) -> Callable[[Policy], Episodes]:
+    bank, conditions = held_back_scenes(recipe)
     return lambda policy: play(policy, conditions, bank, defender=recipe.defender, k=recipe.n_attackers)
 
 

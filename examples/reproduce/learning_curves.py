@@ -31,10 +31,9 @@ from rich.console import Console
 from rich.markdown import Markdown
 
 import agents
-from agents.learning.rollout import open_bank, play
+from agents.learning.rollout import play
 from agents.learning.sweep import TrainingRun, plan_sweep, sweep
-from agents.learning.training import Recipe
-from cp_env.evaluation import Conditions
+from agents.learning.training import Recipe, held_back_scenes
 from cp_env.evaluation.plan.files import write_atomically
 from cp_env.metrics.shares import share_interval
 from cp_env.progress import Progress, say
@@ -93,14 +92,7 @@ def main(args: Args) -> None:
 def baselines(args: Args) -> Baselines:
     """The scripted attacks on the scenes held back, from the disk if they were played before."""
     recipe, path = args.recipe, args.out / "baselines.json"
-    bank = open_bank(recipe.holdout, recipe.n_holdout, recipe.victim, recipe.fusion)
-    conditions = Conditions(
-        scenes=bank.source,
-        names=bank.source.names(),
-        frames=recipe.max_frames,
-        n_vehicles=recipe.n_vehicles,
-        fusion=recipe.fusion,
-    )
+    bank, conditions = held_back_scenes(recipe)
     asked = {
         **conditions.describe(),
         "defender": recipe.defender,

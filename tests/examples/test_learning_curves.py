@@ -68,7 +68,7 @@ def test_baselines_meet_the_scenes_held_back_once(tmp_path: Path, monkeypatch: p
         assert (defender, k) == ("prbi", 2) and bank is toy_bank()
         return Episodes(*(np.array([0.5, 0.25]) for _ in range(5)))
 
-    monkeypatch.setattr(program, "open_bank", lambda *_: toy_bank())
+    monkeypatch.setattr("agents.learning.training.open_bank", lambda *_: toy_bank())
     monkeypatch.setattr(program, "play", play)
     args = program.Args(out=tmp_path)
     found = program.baselines(args)
