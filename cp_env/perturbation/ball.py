@@ -26,12 +26,17 @@ class Ball(Protocol):
         """A random δ (k, C, H, W) in the ball, on the CPU."""
         ...
 
-    def steepest(self, gradient: Float[Tensor, "*b C H W"]) -> Float[Tensor, "*b C H W"]:
-        """The direction of unit norm in which the loss rises fastest, a new tensor; zero where the gradient is."""
+    def steepest(self, gradient: Float[Tensor, "*b C H W"], out: Tensor | None = None) -> Float[Tensor, "*b C H W"]:
+        """The direction of unit norm in which the loss rises fastest, zero where the gradient is: new, or `out`."""
         ...
 
-    def project(self, delta: Float[Tensor, "*b C H W"], budget: float | Tensor) -> Float[Tensor, "*b C H W"]:
-        """The nearest point of the ball; of balls of their own sizes, if `budget` is a tensor that broadcasts."""
+    def project(
+        self, delta: Float[Tensor, "*b C H W"], budget: float | Tensor, out: Tensor | None = None
+    ) -> Float[Tensor, "*b C H W"]:
+        """The nearest point of the ball; of balls of their own sizes, if `budget` is a tensor that broadcasts.
+
+        It is written to `out`, which may be δ itself, or to a new tensor.
+        """
         ...
 
 
@@ -41,11 +46,13 @@ class Linf:
     def random(self, shape: tuple[int, int, int, int], budget: float, rng: np.random.Generator) -> Tensor:
         return torch.from_numpy(rng.random(shape, dtype=np.float32)).mul_(2 * budget).sub_(budget)
 
-    def steepest(self, gradient: Float[Tensor, "*b C H W"]) -> Float[Tensor, "*b C H W"]:
-        return gradient.sign()
+    def steepest(self, gradient: Float[Tensor, "*b C H W"], out: Tensor | None = None) -> Float[Tensor, "*b C H W"]:
+        return torch.sign(gradient, out=out)
 
-    def project(self, delta: Float[Tensor, "*b C H W"], budget: float | Tensor) -> Float[Tensor, "*b C H W"]:
-        return channel.project(delta, budget, "linf")
+    def project(
+        self, delta: Float[Tensor, "*b C H W"], budget: float | Tensor, out: Tensor | None = None
+    ) -> Float[Tensor, "*b C H W"]:
+        return channel.project(delta, budget, "linf", out)
 
 
 class L2:
@@ -57,12 +64,14 @@ class L2:
         length = torch.from_numpy(rng.random((shape[0], 1, 1, 1), dtype=np.float32))
         return self.project(self.steepest(direction) * length * budget, budget)
 
-    def steepest(self, gradient: Float[Tensor, "*b C H W"]) -> Float[Tensor, "*b C H W"]:
+    def steepest(self, gradient: Float[Tensor, "*b C H W"], out: Tensor | None = None) -> Float[Tensor, "*b C H W"]:
         norm = torch.linalg.vector_norm(gradient, dim=MAP, keepdim=True)
-        return gradient / norm.clamp(min=torch.finfo(gradient.dtype).tiny)
+        return torch.div(gradient, norm.clamp(min=torch.finfo(gradient.dtype).tiny), out=out)
 
-    def project(self, delta: Float[Tensor, "*b C H W"], budget: float | Tensor) -> Float[Tensor, "*b C H W"]:
-        return channel.project(delta, budget, "l2")
+    def project(
+        self, delta: Float[Tensor, "*b C H W"], budget: float | Tensor, out: Tensor | None = None
+    ) -> Float[Tensor, "*b C H W"]:
+        return channel.project(delta, budget, "l2", out)
 
 
 BALLS: dict[str, Ball] = {"linf": Linf(), "l2": L2()}
@@ -82,5 +91,5 @@ def ascend(
     length: float | Tensor,
     radius: float | Tensor,
 ) -> Float[Tensor, "*b C H W"]:
-    """One step of projected ascent: from δ along `direction`, a fresh tensor that is overwritten, into the ball."""
-    return ball.project(direction.mul_(length).add_(delta), radius)
+    """One step of projected ascent: from δ along `direction`, a fresh tensor that becomes the result, into the ball."""
+    return ball.project(direction.mul_(length).add_(delta), radius, out=direction)

@@ -17,23 +17,26 @@ def norm_of(delta: Float[Tensor, "*n C H W"], norm: str) -> Float[Tensor, "*n"]:
     return flat.double().norm(dim=-1).to(delta.dtype)  # single precision loses 1e-5 over so many entries
 
 
-def project(delta: Float[Tensor, "*n C H W"], budget: float | Tensor, norm: str) -> Float[Tensor, "*n C H W"]:
+def project(
+    delta: Float[Tensor, "*n C H W"], budget: float | Tensor, norm: str, out: Tensor | None = None
+) -> Float[Tensor, "*n C H W"]:
     """The nearest perturbation with ‖δ‖ ≤ Δ: clipped ("linf") or shortened ("l2").
 
     Args:
         delta: perturbations of the maps.
         budget: one Δ for all maps, or a tensor that broadcasts against them.
         norm: "linf" or "l2".
+        out: where they are written; `delta` itself is allowed. A new tensor by default.
 
     Returns:
         The projected perturbations.
     """
     if norm == "linf":
         if isinstance(budget, Tensor):  # `clamp` takes six times as long with tensors
-            return torch.minimum(torch.maximum(delta, -budget), budget)
-        return delta.clamp(-budget, budget)
+            return torch.minimum(torch.maximum(delta, -budget, out=out), budget, out=out)
+        return torch.clamp(delta, -budget, budget, out=out)
     length = norm_of(delta, norm)[..., None, None, None].clamp(min=1e-12)
-    return delta * (budget / length).clamp(max=1.0)
+    return torch.mul(delta, (budget / length).clamp(max=1.0), out=out)
 
 
 def inject(

@@ -36,7 +36,9 @@ class Frame:
     n_vehicles: int
     seen: View  # of everyone present
     _previous: View | None = field(default=None, repr=False)  # the last output, which most defenders compare with
+    _older: View | None = field(default=None, repr=False)  # an output before it that the defender still compares with
     _memo: dict[tuple[int, int], tuple[View, View, float]] = field(default_factory=dict, repr=False)
+    _asked: set[int] = field(default_factory=set, repr=False)  # the boxes of views that were compared
 
     @property
     def present(self) -> frozenset[int]:
@@ -45,9 +47,11 @@ class Frame:
 
     def similarity(self, a: View, b: View) -> float:
         """Jaccard similarity of two views, PRBI Eq. (5); the older one is moved by the ego's motion first."""
-        if _key(a, b) not in self._memo:
-            self._memo[_key(a, b)] = (a, b, similarity.view_similarity(a, b))
-        return self._memo[_key(a, b)][2]
+        key = _key(a, b)
+        self._asked.update(key)
+        if key not in self._memo:
+            self._memo[key] = (a, b, similarity.view_similarity(a, b))
+        return self._memo[key][2]
 
     def agreement(self, a: View, b: View) -> float:
         """Consistency of two views' score maps (PASAC's CCLoss)."""
@@ -55,7 +59,8 @@ class Frame:
 
     def _shown(self) -> Frame:
         """The same for a defender, with twins of the views and a memo of its own: it can change nothing here."""
-        return Frame(self.index, self.n_vehicles, self.seen.twin(), self._previous and self._previous.twin())
+        previous, older = (one and one.twin() for one in (self._previous, self._older))
+        return Frame(self.index, self.n_vehicles, self.seen.twin(), previous, older)
 
 
 def _key(a: View, b: View) -> tuple[int, int]:
@@ -69,12 +74,13 @@ def prefetch_similarities(
 ) -> None:
     """Compare new views with their frame's last output, all in one go: many at once cost little.
 
-    No defender's results depend on it: similarities asked for later are taken from here instead of computed.
+    A defender that does not trust the last output compares with an older one, as it did in the frame before: that one,
+    too. No defender's results depend on it: similarities asked for later are taken from here instead of computed.
     """
-    pairs = [(frame, view, frame._previous) for frame, view in verified if frame._previous is not None]
-    values = compare([(view, previous) for _, view, previous in pairs])
-    for (frame, view, previous), value in zip(pairs, values.tolist(), strict=True):
-        frame._memo[_key(view, previous)] = (view, previous, value)
+    pairs = [(f, view, old) for f, view in verified for old in (f._previous, f._older) if old is not None]
+    values = compare([(view, old) for _, view, old in pairs])
+    for (frame, view, old), value in zip(pairs, values.tolist(), strict=True):
+        frame._memo[_key(view, old)] = (view, old, value)
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +93,7 @@ class Judgement:
     verifications: int  # those of them that count
     error: str | None = None
     failure: Failure | None = None  # what the error says, with its traceback
+    reference: View | None = None  # the output of an earlier frame that the defender compared with, the older of two
 
 
 @dataclass(eq=False)
@@ -273,7 +280,16 @@ def _judgement(case: _Case) -> Judgement:
         verifications=case.verifications,
         error=case.error,
         failure=case.failure,
+        reference=_reference(case),
     )
+
+
+def _reference(case: _Case) -> View | None:
+    """The earlier output that the defender compared with: a twin of the world's own view, not what a defender holds."""
+    for one in (case.frame._older, case.frame._previous):
+        if one is not None and id(one.seen.boxes) in case.shown._asked:
+            return one.twin()
+    return None
 
 
 def suspicion(defender: Defender, n_vehicles: int) -> np.ndarray:

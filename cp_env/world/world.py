@@ -65,6 +65,7 @@ class _State:
     attackers: tuple[int, ...] = ()
     absent: Absences = field(default_factory=dict)
     output: View | None = None
+    reference: View | None = None  # the earlier output that the defender compared with
     verdict: Verdict | None = None
     error: str | None = None
     informed: bool = False  # whether the defender was shown the attackers of this episode
@@ -315,7 +316,7 @@ class World:
             perceive = self._perceiver(situation)
             seen = perceive(list(enumerate(self._present())))
             states = zip(self._worlds, seen, strict=True)
-            frames = [Frame(s.frame, self.settings.n_maps, view, s.output) for s, view in states]
+            frames = [Frame(s.frame, self.settings.n_maps, view, s.output, s.reference) for s, view in states]
             return self._outcome(frames, judge(frames, defenders, perceive, self._compare), norms, clean)
 
     def _perceiver(self, situation: Situation) -> Callable[[list[Pair]], list[View]]:
@@ -372,5 +373,6 @@ class World:
         """Move every world to its next frame; a world at its end stays on its last frame until it is reset."""
         for state, judgement, over in zip(self._worlds, outcome.judgements, outcome.truncated, strict=True):
             state.output, state.verdict, state.error = judgement.output, judgement.verdict, judgement.error
+            state.reference = judgement.reference
             if not over:
                 state.frame += 1

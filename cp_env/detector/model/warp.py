@@ -155,27 +155,44 @@ def add_weighted(
 
 
 class _AddWeighted(torch.autograd.Function):
-    """Map by map, so that each stays in the processor's cache; the gradient goes the same way back."""
+    """Map by map, so that each stays in the processor's cache; the gradient goes the same way back.
+
+    Sums and products are taken in single precision, in one place that is used again: torch widens whole maps faster
+    than it adds or multiplies maps of two precisions.
+    """
 
     @staticmethod
     def forward(ctx: Any, fused: Tensor, delta: Tensor, moves: Moves) -> Tensor:
         ctx.moves, ctx.shape, ctx.dtype = moves, delta.shape, delta.dtype
         added, sent = fused.clone(), delta.flatten(0, 1).flatten(2).unbind()
         rows, product = added.flatten(2).unbind(), torch.empty_like(sent[0])
+        wide = None if fused.dtype == delta.dtype else torch.empty_like(product)
         for b, i, to, of, share in zip(*moves[:5], strict=True):
-            rows[b][:, to].add_(torch.mul(sent[i][:, of], share, out=product[:, of]))
+            one = torch.mul(sent[i][:, of], share, out=product[:, of])
+            if wide is None:
+                rows[b][:, to].add_(one)
+            else:
+                wide.copy_(rows[b])[:, to].add_(one)
+                rows[b].copy_(wide)
         return added
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[None, Tensor, None]:
         (gradient,) = gradients
-        back, rows = torch.zeros(ctx.shape, dtype=ctx.dtype), gradient.flatten(2).unbind()
+        moves: Moves = ctx.moves
+        back, rows = torch.empty(ctx.shape, dtype=ctx.dtype), gradient.flatten(2).unbind()
+        if not (moves.once and len(moves.delta) == len(back.flatten(0, 1))):
+            back.zero_()
         places = back.flatten(0, 1).flatten(2).unbind()
-        for b, i, to, of, share in zip(*ctx.moves[:5], strict=True):
-            if ctx.moves.once:  # nothing is there to add to
-                torch.mul(rows[b][:, to], share, out=places[i][:, of])
+        wide = None if gradient.dtype == ctx.dtype else torch.empty_like(places[0])
+        for b, i, to, of, share in zip(*moves[:5], strict=True):
+            row = rows[b] if wide is None else wide.copy_(rows[b])
+            if moves.once:  # nothing is there to add to
+                torch.mul(row[:, to], share, out=places[i][:, of])
+                places[i][:, : of.start] = 0
+                places[i][:, of.stop :] = 0
             else:
-                places[i][:, of].add_(rows[b][:, to] * share)
+                places[i][:, of].add_(row[:, to] * share)
         return None, back, None
 
 
@@ -248,9 +265,15 @@ def add_into(
     if target.device.type != "cpu":
         target.index_add_(0, numbers(rows, target.device), _gathered(maps, cells).to(target.dtype))
         return True
+    wide = None if target.dtype == maps.dtype else torch.empty(target.shape[1:], dtype=maps.dtype)
     for row, one, shift in zip(rows, maps, cells, strict=True):
         to, of = _overlap(shift, target.shape[-1])
-        target[row][to] += one[of]
+        place = target[row]
+        if wide is None:
+            place[to] += one[of]
+        else:  # as in `_AddWeighted`
+            wide.copy_(place)[to] += one[of]
+            place.copy_(wide)
     return True
 
 

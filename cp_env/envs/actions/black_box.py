@@ -20,7 +20,7 @@ class Full(ActionMap):
 
     def __call__(self, actions: Float[np.ndarray, "E k *a"], situation: Situation) -> Float[Tensor, "E k C H W"]:
         delta = torch.from_numpy(actions).to(situation.device) * situation.budget
-        return project(delta, situation.budget, situation.norm)
+        return project(delta, situation.budget, situation.norm, out=delta)
 
 
 class Basis(ActionMap):
@@ -44,4 +44,4 @@ class Basis(ActionMap):
     def __call__(self, actions: Float[np.ndarray, "E k *a"], situation: Situation) -> Float[Tensor, "E k C H W"]:
         device = situation.device
         mixed = torch.einsum("eka,achw->ekchw", torch.from_numpy(actions).to(device), self._directions.to(device))
-        return project(mixed.clamp(-1, 1) * situation.budget, situation.budget, situation.norm)
+        return project(mixed.clamp_(-1, 1).mul_(situation.budget), situation.budget, situation.norm, out=mixed)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -12,7 +13,7 @@ from torch import Tensor
 
 from cp_env.detector.model.decoder import cell_centres
 from cp_env.envs.actions.base import ActionMap
-from cp_env.perturbation.ball import ascend, make_ball
+from cp_env.perturbation.ball import make_ball
 from cp_env.perturbation.objective import Loss, attacked_output, distance_from
 from cp_env.world.situation import Situation
 
@@ -65,22 +66,25 @@ class Guided(ActionMap):
         self._stale += worlds
 
     def __call__(self, actions: Float[np.ndarray, "E k *a"], situation: Situation) -> Float[Tensor, "E k C H W"]:
-        guidance = Guidance.read(torch.from_numpy(actions).to(situation.device), situation.detector.extent)
+        guidance = self._guidance(actions, situation)
         delta = self._steered(guidance, situation)
         self._keep(delta, guidance.fires * situation.active[:, None])
         return delta
+
+    def _guidance(self, steering: Float[np.ndarray, "E k 8"], situation: Situation) -> Guidance:
+        """What eight numbers of every slot mean in this frame."""
+        return Guidance.read(torch.from_numpy(steering).to(situation.device), situation.detector.extent)
 
     def _steered(self, guidance: Guidance, situation: Situation) -> Float[Tensor, "E k C H W"]:
         """The δ that the attackers want; zero for those that do not fire."""
         last, ball = self._carried(situation), make_ball(situation.norm)
         radius = guidance.strength * situation.budget * (guidance.fires * situation.active[:, None])
-        share, reach = (one[..., None, None, None] for one in (guidance.persistence, radius))
         delta = torch.empty_like(last)
-        for part in _parts(delta):
-            delta[part] = ball.project(last[part] * share[part], reach[part])
+        for part, share, reach in _parts(delta, guidance.persistence, radius):
+            ball.project(torch.mul(last[part], share, out=delta[part]), reach, out=delta[part])
         useful = situation.fused.gather(1, situation.attackers) & (radius > 0)
         if bool(useful.any()):
-            self._ascend(delta, reach, useful, guidance, situation)
+            self._ascend(delta, radius, useful, guidance, situation)
         return delta
 
     def _carried(self, situation: Situation) -> Float[Tensor, "E k C H W"]:
@@ -94,14 +98,16 @@ class Guided(ActionMap):
     def _keep(self, delta: Float[Tensor, "E k C H W"], fires: Float[Tensor, "E k"]) -> None:
         """Keep what was sent; an attacker that pauses keeps its last perturbation."""
         assert self._last is not None
-        fired = (fires > 0)[..., None, None, None]
-        for part in _parts(delta):
-            torch.where(fired[part], delta[part], self._last[part], out=self._last[part])
+        for part, fired in _parts(delta, fires):
+            if not isinstance(fired, float):
+                torch.where(fired > 0, delta[part], self._last[part], out=self._last[part])
+            elif fired > 0:
+                self._last[part] = delta[part]
 
     def _ascend(
         self,
         delta: Float[Tensor, "E k C H W"],
-        reach: Float[Tensor, "E k 1 1 1"],
+        radius: Float[Tensor, "E k"],
         useful: Bool[Tensor, "E k"],
         guidance: Guidance,
         situation: Situation,
@@ -116,17 +122,22 @@ class Guided(ActionMap):
             worlds, few = busy[rows], slice(int(rows[0]), int(rows[-1]) + 1)
             clean = type(situation.clean)(situation.clean.logits[worlds], situation.clean.boxes[worlds])
             damage = distance_from(clean, hide=1 - spoof[few], spoof=spoof[few], drift=drift[few], where=where[few])
-            delta[worlds] = self._ascended(delta[worlds], reach[worlds], worlds, damage, situation)
+            if consecutive(worlds):  # as where all attack: nothing is copied
+                self._climb(delta[int(worlds[0]) : int(worlds[-1]) + 1], radius[worlds], worlds, damage, situation)
+            else:
+                mine = delta[worlds]
+                self._climb(mine, radius[worlds], worlds, damage, situation)
+                delta[worlds] = mine
 
-    def _ascended(
+    def _climb(
         self,
         delta: Float[Tensor, "B k C H W"],
-        reach: Float[Tensor, "B k 1 1 1"],
+        radius: Float[Tensor, "B k"],
         worlds: Int[Tensor, " B"],
         damage: Loss,
         situation: Situation,
-    ) -> Float[Tensor, "B k C H W"]:
-        """The δ of some worlds, after the ascent."""
+    ) -> None:
+        """The ascent in some worlds, δ in place."""
         attackers, ball = situation.attackers[worlds], make_ball(situation.norm)
         perceive = attacked_output(
             situation.ego_detector(worlds),
@@ -139,27 +150,36 @@ class Guided(ActionMap):
             worlds=worlds,
         )
         for _ in range(self.steps):
-            leaf = delta.detach().requires_grad_()
+            leaf = delta.detach().requires_grad_()  # on the same memory: its graph is gone when δ changes
             with torch.enable_grad():
                 (gradient,) = torch.autograd.grad(damage(perceive(leaf)).sum(), leaf)
-            for part in _parts(delta):
-                length = _strong(gradient[part], situation.norm) * reach[part]
-                direction = ball.steepest(gradient[part]).mul_(length)
-                delta[part] = ascend(ball, delta[part], direction, 2.0 / self.steps, reach[part])
-        return delta
+            gradient = gradient.contiguous()  # it is written to, and could be one number for many
+            for part, reach in _parts(delta, radius):
+                slope, here = gradient[part], delta[part]
+                length = _strong(slope, situation.norm) * reach
+                here.add_(ball.steepest(slope, out=slope).mul_(length).mul_(2.0 / self.steps))
+                ball.project(here, reach, out=here)
 
 
 TOGETHER = {"cpu": 16}
 """Worlds whose gradient is taken in one go, by kind of device; all of them elsewhere."""
 
-ONE = {"cpu": 1}
-"""Worlds whose δ is changed in one go: as many as stay in a core's own cache."""
+ONE_BY_ONE = ("cpu",)
+"""Devices on which δ are changed one at a time, so that each stays in the processor's own cache."""
 
 
-def _parts(delta: Float[Tensor, "B k C H W"]) -> Iterator[slice]:
-    """The worlds in parts that are worked on in one go."""
-    step = ONE.get(delta.device.type, max(len(delta), 1))
-    return (slice(start, start + step) for start in range(0, len(delta), step))
+def _parts(delta: Float[Tensor, "B k C H W"], *numbers: Float[Tensor, "B k"]) -> Iterator[tuple[Any, ...]]:
+    """The places of the δ that are worked on in one go, and their numbers: plain ones of a single δ, or tensors."""
+    if delta.device.type in ONE_BY_ONE:
+        places = ((world, slice(slot, slot + 1)) for world, slot in np.ndindex(*delta.shape[:2]))
+        yield from zip(places, *(one.flatten().tolist() for one in numbers), strict=True)
+    else:
+        yield slice(None), *(one[..., None, None, None] for one in numbers)
+
+
+def consecutive(rows: Int[Tensor, " B"]) -> bool:
+    """Whether rows, ascending, follow one another."""
+    return int(rows[-1] - rows[0]) + 1 == len(rows)
 
 
 def _aim(guidance: Guidance, situation: Situation) -> Float[Tensor, "E k h w"]:
@@ -175,9 +195,9 @@ FAINT = 0.01
 without this a narrow aim would still fill the whole map."""
 
 
-def _strong(gradient: Float[Tensor, "E k C H W"], norm: str) -> Float[Tensor, "E k 1 H W"] | float:
+def _strong(gradient: Float[Tensor, "*b C H W"], norm: str) -> Float[Tensor, "*b 1 H W"] | float:
     """1 in the cells whose gradient is not faint; a direction of the L2 ball keeps its magnitudes and needs no mask."""
     if norm != "linf":
         return 1.0
-    cells = gradient.abs().amax(2, keepdim=True)
-    return (cells > FAINT * cells.amax((3, 4), keepdim=True)).to(gradient)
+    cells = gradient.abs().amax(-3, keepdim=True)
+    return (cells > FAINT * cells.amax((-2, -1), keepdim=True)).to(gradient)

@@ -201,18 +201,54 @@ def test_a_frame_shows_nothing_about_perturbations() -> None:
     assert shown == {"index", "n_vehicles", "present", "seen", "similarity", "agreement"}
 
 
+def drawn_view(rng: np.random.Generator, frame: int) -> View:
+    boxes = np.concatenate([rng.uniform(-30, 30, (6, 2)), rng.uniform(3, 12, (6, 2)), rng.uniform(0, 3, (6, 1))], 1)
+    found = Detections(boxes, np.ones(6))
+    return View(frozenset({0}), frame, 2.0 * rng.integers(0, 4, 2), found, found, np.zeros((4, 4)))
+
+
 def test_prefetched_similarities_are_those_computed_when_asked() -> None:
     rng = np.random.default_rng(0)
-
-    def random_view(frame: int) -> View:
-        boxes = np.concatenate([rng.uniform(-30, 30, (6, 2)), rng.uniform(3, 12, (6, 2)), rng.uniform(0, 3, (6, 1))], 1)
-        found = Detections(boxes, np.ones(6))
-        return View(frozenset({0}), frame, 2.0 * rng.integers(0, 4, 2), found, found, np.zeros((4, 4)))
-
-    previous = random_view(0)
-    frames = [Frame(1, N, random_view(1), previous), Frame(1, N, previous, previous), Frame(0, N, random_view(0))]
+    previous, seen, alone = (drawn_view(rng, frame) for frame in (0, 1, 0))
+    frames = [Frame(1, N, seen, previous), Frame(1, N, previous, previous), Frame(0, N, alone)]
     prefetch_similarities([(frame, frame.seen) for frame in frames])
     assert [len(frame._memo) for frame in frames] == [1, 1, 0]
     for frame in frames[:2]:
         assert frame.similarity(previous, frame.seen) == view_similarity(frame.seen, previous)
         assert len(frame._memo) == 1
+
+
+class Loyal(Defender):
+    """Compares what it sees with one output that it trusts, or with none."""
+
+    def __init__(self, trusted: View | None) -> None:
+        self.trusted, self.found = trusted, []
+
+    def reset(self, n_vehicles: int, rng: np.random.Generator) -> None: ...
+
+    def inspect(self, frame: Frame) -> Inspection:
+        if self.trusted is not None:
+            self.found.append(frame.similarity(frame.seen, self.trusted))
+        return Verdict(frame.present)
+        yield  # a generator
+
+
+def test_an_output_that_a_defender_keeps_to_is_compared_with_all_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    """However old it is: what was compared in the frame before is compared again, in one go and to the same number."""
+    rng = np.random.default_rng(0)
+    trusted, *seen = (drawn_view(rng, frame) for frame in range(5))
+    loyal, previous, older = Loyal(trusted.twin()), trusted, None
+    expected = [view_similarity(view, trusted) for view in seen]
+    monkeypatch.setattr("cp_env.metrics.similarity.view_similarity", None)  # none is computed by itself
+    for view in seen:
+        (judgement,) = judge([Frame(view.frame, N, view, previous, older)], [loyal], Perceiver())
+        assert judgement.reference is not None
+        previous, older = view, judgement.reference
+        assert older.seen.boxes is trusted.seen.boxes and older is not trusted
+    assert loyal.found == expected
+
+
+def test_an_output_that_nobody_compares_with_is_not_kept() -> None:
+    previous, older, seen = (drawn_view(np.random.default_rng(0), frame) for frame in range(3))
+    (judgement,) = judge([Frame(2, N, seen, older, previous)], [Loyal(None)], Perceiver())
+    assert judgement.reference is None

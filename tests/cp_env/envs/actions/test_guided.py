@@ -93,16 +93,16 @@ def test_nothing_is_sent_in_grace_frames(bank: SceneBank) -> None:
 
 
 def test_worlds_are_attacked_alike_in_any_parts(bank: SceneBank, monkeypatch: pytest.MonkeyPatch) -> None:
-    """One after the other, in threes, or all at once: the gate of one is shut, and of one attacker of another."""
+    """One after the other, in threes, or all at once, and δ by δ or together: the gate of one is shut, and of one attacker of another."""
     world = World(5, defender="none", bank=bank, n_attackers=2, grace_frames=0)
     world.reset(list(range(5)))
     actions = np.random.default_rng(0).uniform(-1, 1, (5, 2, 8)).astype(np.float32)
     actions[..., 7] = 1.0
     actions[1, :, 7] = actions[3, 0, 7] = -1.0
     found = []
-    for together, one in ((1, 1), (3, 2), (16, 16)):
+    for together, one_by_one in ((1, ("cpu",)), (3, ("cpu",)), (16, ("cpu",)), (16, ())):
         monkeypatch.setitem(module.TOGETHER, "cpu", together)
-        monkeypatch.setitem(module.ONE, "cpu", one)
+        monkeypatch.setattr(module, "ONE_BY_ONE", one_by_one)
         steer = make_action("guided", bank.detector.channels, bank.detector.size)
         found.append([steer(actions, world.current()).clone() for _ in range(2)])
     assert all(torch.equal(a, b) for other in found[1:] for a, b in zip(other, found[0], strict=True))
