@@ -17,19 +17,17 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int, Shaped
-from torch import Tensor
+from jaxtyping import Float
 
-from cp_env.detector.model.decoder import Dense
-from cp_env.detector.protocol import DetectorLike, UsesEgoSweep, maps_digest, with_ego_context
+from cp_env.detector.protocol import DetectorLike, UsesEgoSweep, maps_digest
 from cp_env.geometry.planar import grid_origin
-from cp_env.metrics.certified import witnesses
 from cp_env.metrics.ground_truth import truth_boxes
 from cp_env.types import Endless, Scene, SceneSource
 from cp_env.world.cache_folder import encoded_folder
-from cp_env.world.episode import Clean, CleanFrame, Episode, ego_place, make_views, warp_frame
+from cp_env.world.episode import Clean, Episode
 from cp_env.world.map_store import BLOCK, MapStore, drop
 from cp_env.world.per_frame import PerFrame
+from cp_env.world.unattacked import Unattacked
 
 KEPT = 64
 """Episodes whose clean views stay in memory; a hundred frames take about 8 MB."""
@@ -109,12 +107,13 @@ class SceneBank:
         coverage = self.detector.coverage(poses)
         uses_sweep = isinstance(self.detector, UsesEgoSweep)
         context = PerFrame(n_frames, partial(store.ego_context, scene), keep=False) if uses_sweep else None
-        clean = PerFrame(n_frames, partial(_clean, store, scene, agents, poses, coverage, context))
+        unattacked = Unattacked(store, scene, agents, poses, coverage, context)
         ego, extent = int(scene.connected[0]), self.detector.extent
         truth = PerFrame(n_frames, lambda t: truth_boxes(scene, t, ego, extent))
-        found = PerFrame(n_frames, partial(_witnesses, store, scene, agents, poses, coverage, context, truth))
+        found = PerFrame(n_frames, lambda t: unattacked.witnesses(t, truth[t]))
         store.touch(scene)
-        return Episode(scene, store, agents, poses, coverage, Clean(clean), truth, context, found)
+        clean = Clean(PerFrame(n_frames, unattacked.frame))
+        return Episode(scene, store, agents, poses, coverage, clean, truth, context, found)
 
 
 def _key(source: SceneSource, detector: DetectorLike) -> str:
@@ -147,58 +146,3 @@ def _poses(scene: Scene, agents: tuple[int, ...]) -> Float[np.ndarray, "T N 3"]:
         sensors = np.concatenate([sensors, mast], axis=1)
     shift = grid_origin(sensors[:, agents]) - grid_origin(sensors[:, :1])
     return np.concatenate([shift, np.zeros_like(shift[..., :1])], axis=-1).astype(np.float32)
-
-
-def _clean(
-    store: MapStore,
-    scene: Scene,
-    agents: tuple[int, ...],
-    poses: Float[Tensor, "T N 3"],
-    coverage: Float[Tensor, "T N H W"],
-    ego_context: PerFrame[Shaped[np.ndarray, "..."]] | None,
-    t: int,
-) -> CleanFrame:
-    """The ego's output of frame t without an attack."""
-    everyone = torch.ones(1, len(agents), dtype=torch.bool)
-    with torch.inference_mode():
-        dense = _perceived(store, scene, agents, poses, coverage, ego_context, t, everyone)
-        (view,) = make_views(store.detector, dense, [frozenset(range(len(agents)))], [t], [ego_place(scene, t)])
-    with torch.inference_mode(mode=False):  # whoever asks first, these are ordinary tensors
-        return CleanFrame(dense.logits[0].half().cpu().clone(), dense.boxes[0].half().cpu().clone(), view)
-
-
-def _perceived(
-    store: MapStore,
-    scene: Scene,
-    agents: tuple[int, ...],
-    poses: Float[Tensor, "T N 3"],
-    coverage: Float[Tensor, "T N H W"],
-    ego_context: PerFrame[Shaped[np.ndarray, "..."]] | None,
-    t: int,
-    groups: Bool[Tensor, "B N"],
-) -> Dense:
-    """What the ego makes of groups of the unattacked maps of frame t."""
-    context = None if ego_context is None else torch.from_numpy(ego_context[t][None])
-    detector, device = with_ego_context(store.detector, context), store.detector.device
-    maps = warp_frame(store.detector, store.maps(scene, agents, t), poses[t])[None]
-    world = torch.zeros(len(groups), dtype=torch.long, device=device)
-    return detector.perceive(maps, coverage[t : t + 1].to(device), world, groups.to(device))
-
-
-def _witnesses(
-    store: MapStore,
-    scene: Scene,
-    agents: tuple[int, ...],
-    poses: Float[Tensor, "T N 3"],
-    coverage: Float[Tensor, "T N H W"],
-    ego_context: PerFrame[Shaped[np.ndarray, "..."]] | None,
-    truth: PerFrame[Float[np.ndarray, "_ 5"]],
-    t: int,
-) -> Int[np.ndarray, " L"]:
-    """How many single views find each vehicle of the truth in frame t; see `metrics.certified`."""
-    single = torch.eye(len(agents), dtype=torch.bool)
-    with torch.inference_mode():
-        dense = _perceived(store, scene, agents, poses, coverage, ego_context, t, single)
-        groups, times = [frozenset({i}) for i in range(len(agents))], [t] * len(agents)
-        views = make_views(store.detector, dense, groups, times, [ego_place(scene, t)] * len(agents))
-    return witnesses([view.seen.boxes.astype(np.float64) for view in views], truth[t].astype(np.float64))

@@ -58,3 +58,13 @@ def test_a_zero_gradient_goes_nowhere(name: str) -> None:
 def test_an_unknown_norm_lists_the_known_ones() -> None:
     with pytest.raises(ValueError, match=r"l2.*linf.*got 'l1'"):
         make_ball("l1")
+
+
+@pytest.mark.parametrize("name", sorted(BALLS))
+@pytest.mark.parametrize("each", [False, True])
+def test_a_given_place_takes_the_projection_and_the_direction(name: str, each: bool) -> None:
+    ball, delta = BALLS[name], _map(3, 10.0)
+    budget = torch.tensor(0.5) if each else 0.5
+    inside, steepest, place = ball.project(delta, budget), ball.steepest(delta), delta.clone()
+    assert ball.project(place, budget, out=place) is place and torch.equal(place, inside)
+    assert ball.steepest(delta, out=place) is place and torch.equal(place, steepest)

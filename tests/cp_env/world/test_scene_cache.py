@@ -10,17 +10,13 @@ import numpy as np
 import pytest
 import torch
 
-from agents.attacks.gradient import no_perturbation
 from cp_env.detector import Detector, load_detector
 from cp_env.detector.model.fusion import FUSIONS
 from cp_env.detector.protocol import SharesMaps
-from cp_env.metrics.certified import witnesses
 from cp_env.types import Scene
 from cp_env.world.cache_folder import stored_scenes
-from cp_env.world.counterfactual import views_under
 from cp_env.world.episode import stack_maps
 from cp_env.world.scene_cache import SceneBank
-from cp_env.world.world import World
 from examples.bring_your_own_detector import Toy
 from tests.helpers.toy_scenes import ToySource
 
@@ -153,21 +149,6 @@ def test_a_scene_that_is_used_is_the_last_that_a_bound_deletes(fresh: SceneBank)
     again = SceneBank(fresh.source, fresh.detector, fresh.root.parent, progress=False)
     again.episode("toy-0", 2, False)
     assert [scene.name for scene in stored_scenes(fresh.root.parent)] == ["toy-1", "toy-0"]
-
-
-def test_witnesses_are_the_single_views_that_find_a_vehicle(fresh: SceneBank) -> None:
-    """Against views of one vehicle each, perceived by a world without an attack."""
-    world = World(1, defender="none", bank=fresh, n_vehicles=3, n_attackers=0, rsu=True, max_frames=2)
-    world.reset([0], options=[{"scene": "toy-0", "start": 1}])
-    ((episode, frame),) = world.places
-    situation = world.situation()
-    singles = [(0, frozenset({i})) for i in range(4)]
-    views = views_under(situation, no_perturbation(situation), singles)
-    assert episode.witnesses is not None
-    expected = witnesses(
-        [view.seen.boxes.astype(np.float64) for view in views], episode.truth[frame].astype(np.float64)
-    )
-    assert np.array_equal(episode.witnesses[frame], expected) and expected.shape == (len(episode.truth[frame]),)
 
 
 def test_more_vehicles_than_the_scene_holds(fresh: SceneBank) -> None:

@@ -36,15 +36,15 @@ MUTANTS = (
     Mutant(
         "linf-clipped-on-one-side",
         f"{FOLDER}channel.py",
-        "delta.clamp(-budget, budget)",
-        "delta.clamp(max=budget)",
+        "torch.clamp(delta, -budget, budget, out=out)",
+        "torch.clamp(delta, max=budget, out=out)",
         CHANNEL,
     ),
     Mutant(
         "l2-stretched-to-the-surface",
         f"{FOLDER}channel.py",
-        "delta * (budget / length).clamp(max=1.0)",
-        "delta * (budget / length)",
+        "(budget / length).clamp(max=1.0)",
+        "(budget / length)",
         CHANNEL,
     ),
     Mutant(
@@ -53,6 +53,13 @@ MUTANTS = (
         "[:, None] * maps + attackers",
         "[:, None] * attackers.shape[1] + attackers",
         CHANNEL,
+    ),
+    Mutant(
+        "projected-beside-the-given-place",
+        f"{FOLDER}channel.py",
+        "torch.clamp(delta, -budget, budget, out=out)",
+        "torch.clamp(delta, -budget, budget)",
+        BALL,
     ),
     Mutant("inject-in-place-of-the-map", f"{FOLDER}channel.py", ".index_add(0,", ".index_copy(0,", CHANNEL_EDGES),
     Mutant(
