@@ -26,8 +26,9 @@ from cp_env.world.world import World
 from defenders.protocol import Defender, Frame, Inspection, Query, Verdict
 
 FRAMES = 12
-MOST = {1: 4.0, 16: 2.0, 64: 2.0}
-"""Ratios to the bare network that fail, by number of worlds: well above what docs/speed.md gives."""
+MOST = {"float32": {1: 4.0, 16: 2.6, 64: 2.6}, "bfloat16": {1: 5.0, 16: 4.0, 64: 4.0}}
+"""Ratios to the bare network that fail, by number of worlds: well above what docs/speed.md gives. A processor with
+matrix units makes the network in bfloat16 several times as fast, and nothing else."""
 MOST_LEARNER = {"guided": 16.0, "basis": 7.0}
 """The same for SB3's environment, by action map, over one bare view a frame."""
 
@@ -97,7 +98,7 @@ def test_a_frame(benchmark: BenchmarkFixture, num_envs: int, views: int, precisi
         in_turn, args=(episode, networks), kwargs={"setup": again, "rounds": 3, "warmup": 1}, rounds=1
     )
     said(benchmark, f"E = {num_envs}, {views} views, {precision}", found, num_envs * FRAMES)
-    assert found.ratio < MOST[num_envs]
+    assert found.ratio < MOST[precision][num_envs]
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
