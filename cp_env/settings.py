@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 Fusion = Literal["mean", "max", "sum", "v2vnet", "disconet"]
 Norm = Literal["linf", "l2"]
-Action = Literal["guided", "stealth", "basis", "full"]
+Action = Literal["guided", "stealth", "critical", "basis", "full"]
 ObservationKind = Literal["features", "compact"]
 Knowledge = Literal["black-box", "gray-box", "white-box"]
 RewardName = Literal["damage", "ap_drop", "stealth", "critical", "targeted"]

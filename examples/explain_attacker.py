@@ -22,13 +22,16 @@ from rich.table import Table
 
 from agents.learning.policy import Policy, load_policy, policy_names
 from agents.learning.rollout import open_bank
-from cp_env.envs.actions import similarity_bounded
+from cp_env.envs.actions import lane_aimed, similarity_bounded
 from cp_env.envs.actions.guided import Guidance
 from cp_env.evaluation import Conditions, Rollout, Run
 from cp_env.progress import track
 from cp_env.world.situation import Outcome
 
 MOMENTS = ("calm", "alarmed", "sure")
+MIDDLE = {"stealth": similarity_bounded.MIDDLE, "critical": lane_aimed.MIDDLE}
+"""Actions with a floor, and what 0 means there; the aim of `critical` is ahead and to the left, not east and north."""
+
 ALARM = 0.35
 """Similarity below which PRBI's paper calls a frame abnormal."""
 
@@ -101,8 +104,9 @@ def watch(policy: Policy, args: Args) -> dict[str, list[np.ndarray]]:
 
 
 def meaning(actions: np.ndarray, action: str, extent: float) -> np.ndarray:
-    """The numbers of guided or stealth actions in the units of UNITS, in its order."""
-    actions, *floor = similarity_bounded.read(actions) if action == "stealth" else (actions,)
+    """The numbers of guided, stealth or critical actions in the units of UNITS, in its order."""
+    middle = MIDDLE.get(action)
+    actions, *floor = (actions,) if middle is None else similarity_bounded.read(actions, middle)
     guidance = Guidance.read(torch.from_numpy(actions), extent)
     return np.stack([*(getattr(guidance, f.name).numpy() for f in fields(Guidance)), *floor], axis=-1)
 

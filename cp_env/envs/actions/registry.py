@@ -7,6 +7,7 @@ from collections.abc import Callable
 from cp_env.envs.actions.base import ActionMap
 from cp_env.envs.actions.black_box import Basis, Full
 from cp_env.envs.actions.guided import Guided
+from cp_env.envs.actions.lane_aimed import LaneAimed
 from cp_env.envs.actions.similarity_bounded import SimilarityBounded
 from cp_env.settings import ACTIONS, choose
 
@@ -15,6 +16,7 @@ _MAPS: dict[str, Callable[[int, int], ActionMap]] = {
     "basis": Basis,
     "guided": Guided,
     "stealth": SimilarityBounded,
+    "critical": LaneAimed,
 }
 
 

@@ -2,25 +2,36 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from cp_env.envs.actions.guided import Guidance, Guided
+from cp_env.envs.actions.guided import Guided
 from cp_env.world.counterfactual import similarities, views_under
 from cp_env.world.situation import Situation
 
-SHIFTED = (0, 5, 6)  # strength, width and persistence: 0 is the end of the range, not the middle
-GATE = 7
+MIDDLE = (1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 0.5)
+"""What 0 means as a guided action: the largest strength, width and persistence; the gate shuts below -0.5."""
+
 RUNGS = 6
 
 
-def read(actions: Float[np.ndarray, "*b 9"]) -> tuple[Float[np.ndarray, "*b 8"], Float[np.ndarray, "*b"]]:
-    """The guided part of a `stealth` action, and the floor."""
-    steering = actions[..., :8].copy()
-    steering[..., SHIFTED] += 1
-    steering[..., GATE] += 0.5
+def read(
+    actions: Float[np.ndarray, "*b 9"], middle: Sequence[float] = MIDDLE
+) -> tuple[Float[np.ndarray, "*b 8"], Float[np.ndarray, "*b"]]:
+    """The guided part of a `stealth` action, and the floor.
+
+    Args:
+        actions: nine numbers of each slot.
+        middle: the guided action that the first eight mean at 0.
+
+    Returns:
+        The guided part and the floor.
+    """
+    steering = actions[..., :8] + np.array(middle, dtype=actions.dtype)
     return np.clip(steering, -1, 1), (1 - actions[..., 8]) / 2
 
 
@@ -36,11 +47,12 @@ class SimilarityBounded(Guided):
     """
 
     size = 9
+    middle = MIDDLE
 
     def __call__(self, actions: Float[np.ndarray, "E k *a"], situation: Situation) -> Float[Tensor, "E k C H W"]:
-        steering, floors = read(actions)
+        steering, floors = read(actions, self.middle)
         device, floor = situation.device, torch.from_numpy(floors.mean(axis=1))
-        guidance = Guidance.read(torch.from_numpy(steering).to(device), situation.detector.extent)
+        guidance = self._guidance(steering, situation)
         before, wanted = self._carried(situation), self._steered(guidance, situation)
         fires = wanted.flatten(2).any(2)[..., None, None, None]
         start = before * fires  # an attacker that pauses sends nothing

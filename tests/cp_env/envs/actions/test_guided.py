@@ -93,7 +93,7 @@ def test_nothing_is_sent_in_grace_frames(bank: SceneBank) -> None:
 
 
 def test_worlds_are_attacked_alike_in_any_parts(bank: SceneBank, monkeypatch: pytest.MonkeyPatch) -> None:
-    """One after the other, in threes, or all at once, and δ by δ or together: the gate of one is shut, and of one attacker of another."""
+    """In any number at once, and δ by δ or together: the gate of one is shut, and of one attacker of another."""
     world = World(5, defender="none", bank=bank, n_attackers=2, grace_frames=0)
     world.reset(list(range(5)))
     actions = np.random.default_rng(0).uniform(-1, 1, (5, 2, 8)).astype(np.float32)
