@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 
 import numpy as np
@@ -31,7 +31,12 @@ from cp_env.metrics.intervals import Interval, t_interval
 from cp_env.metrics.shares import share_interval
 from cp_env.progress import say, track
 
-HEADINGS = {"detection loss/frame": "damage", "attackers excluded": "excluded", "verifications/frame": "verifications"}
+HEADINGS = {
+    "detection loss/frame": "damage",
+    "critical recall lost": "critical",
+    "attackers excluded": "excluded",
+    "verifications/frame": "verifications",
+}
 COMMON = ("pgd", "random", "ramp:rate=0.3,first=0.2,steps=8")
 
 THRESHOLD_AWARE = {
@@ -68,6 +73,8 @@ class Args(Victim):
     """length of an episode"""
     vehicles: int = 5
     """n, vehicles that share their maps"""
+    rsu: bool = False
+    """with the road-side unit's map as the last one; one vehicle is enough then"""
     k: int = 2
     """attackers among them"""
     seed: int = 0
@@ -82,7 +89,12 @@ def conditions_of(args: Args) -> Conditions:
     """The conditions of all episodes."""
     source = open_bank(args.scenes, args.n_scenes, args.spec, args.fusion).source
     return Conditions(
-        scenes=source, names=source.names(), frames=args.frames, n_vehicles=args.vehicles, fusion=args.fusion
+        scenes=source,
+        names=source.names(),
+        frames=args.frames,
+        n_vehicles=args.vehicles,
+        rsu=args.rsu,
+        fusion=args.fusion,
     )
 
 
@@ -113,6 +125,7 @@ def _episodes(defender: str, spec: str, conditions: Conditions, args: Args) -> E
     asked = {"attack": spec, **conditions.describe(), "k": args.k, "seed": args.seed, "detector": bank.detector.digest}
     asked["trained"] = getattr(attack, "notes", None)  # a policy trained anew under its old name is another one
     path = args.out / slug(defender) / f"{file_words(spec)}.json"
+    asked["measures"] = [one.name for one in fields(Episodes)]
     if path.exists():
         stored = json.loads(path.read_text())
         if stored["asked"] == asked:
@@ -129,7 +142,8 @@ def _lists(episodes: Episodes) -> dict[str, list[float]]:
 def report(played: Played, defender: str, args: Args) -> Iterator[str]:
     """Markdown: 95 % intervals over scenes; then each policy against the worst scripted attack, paired by scene.
 
-    Shares have Gaffke's interval, which stays in [0, 1]; verifications have Student's, cut at 0; differences Student's.
+    Shares have Gaffke's interval, which stays in [0, 1]; verifications have Student's, cut at 0; differences Student's,
+    and the critical recall that was lost is one: of the output's and the clean view's.
     """
     yield f"\nAgainst {defender}, {args.n_scenes} scenes of {args.scenes}, {args.frames} frames, k = {args.k}:\n"
     yield f"| attack | {' | '.join(HEADINGS)} |"
@@ -146,8 +160,10 @@ def report(played: Played, defender: str, args: Args) -> Iterator[str]:
 
 
 def _interval(episodes: Episodes, key: str) -> Interval:
-    """The mean over scenes: a count for verifications, else a share."""
+    """The mean over scenes: a count for verifications, a difference for critical recall, else a share."""
     values = getattr(episodes, key)
+    if key == "critical":
+        return t_interval(values)
     return t_interval(values, least=0.0) if key == "verifications" else share_interval(values)
 
 

@@ -14,7 +14,7 @@ from agents.learning.policy import Policy, save_policy
 from agents.learning.rollout import Episodes
 from cp_env.evaluation.plan.files import write_atomically
 
-EVALUATED = ("damage", "similarity", "verifications", "excluded")
+EVALUATED = ("damage", "similarity", "verifications", "excluded", "critical")
 
 Evaluation = dict[str, float]
 """Means of `Episodes` over the held-back scenes, after so many "frames" of learning."""
@@ -23,8 +23,9 @@ Evaluation = dict[str, float]
 class Holdout(BaseCallback):
     """Evaluates the policy on held-back scenes: before it learns, after every `every` rollouts, at the end of `learn`.
 
-    Each evaluation is added to the learning curve, `curve.json` in `folder`. The policy that did most damage so far is
-    kept there as `policy.safetensors`. A learner that goes on from a checkpoint goes on with the curve that led to it.
+    Each evaluation is added to the learning curve, `curve.json` in `folder`. The policy with the highest `measure` so
+    far is kept there as `policy.safetensors`. A learner that goes on from a checkpoint goes on with the curve that led
+    to it.
 
     Args:
         play: whole episodes of a policy on the scenes held back.
@@ -32,6 +33,7 @@ class Holdout(BaseCallback):
         folder: where curve and policy are written.
         every: rollouts between two evaluations.
         per_frame: steps that the learner counts in one frame of one world.
+        measure: one of EVALUATED, by which the policy to keep is chosen.
     """
 
     def __init__(
@@ -42,15 +44,17 @@ class Holdout(BaseCallback):
         *,
         every: int,
         per_frame: int = 1,
+        measure: str = "damage",
     ) -> None:
         super().__init__()
+        self.measure = measure
         self.play, self.make, self.folder, self.every, self.per_frame = play, make, folder, every, per_frame
         self.curve: list[Evaluation] = read_curve(folder)
 
     @property
     def highest(self) -> float:
-        """The highest damage of any evaluation so far, per frame."""
-        return max((evaluation["damage"] for evaluation in self.curve), default=-np.inf)
+        """The highest `measure` of any evaluation so far, per frame."""
+        return max((evaluation[self.measure] for evaluation in self.curve), default=-np.inf)
 
     def _on_training_start(self) -> None:
         self._rollouts = 0
@@ -80,8 +84,9 @@ class Holdout(BaseCallback):
         for key, value in evaluation.items():
             self.logger.record(f"holdout/{key}", value)
         self.logger.dump(self.num_timesteps)
-        if evaluation["damage"] > self.highest:
-            policy.notes.update(holdout_damage=evaluation["damage"], holdout_scenes=len(episodes.damage))
+        if evaluation[self.measure] > self.highest:
+            held_back = {f"holdout_{name}": evaluation[name] for name in dict.fromkeys(("damage", self.measure))}
+            policy.notes.update(held_back, holdout_scenes=len(episodes.damage))
             save_policy(policy, self.folder / "policy.safetensors")
         self.curve.append(evaluation)
         write_atomically(self.folder / "curve.json", json.dumps(self.curve, indent=1))

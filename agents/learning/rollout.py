@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from cp_env.detector.registry import open_detector
+from cp_env.envs.reward import critical
 from cp_env.evaluation import Attack, Conditions, Learned, Rollout, plan_runs
 from cp_env.evaluation.plan.runs import file_words
 from cp_env.scenes.subset import SceneSubset
@@ -28,6 +29,7 @@ class Episodes:
     similarity: Float[np.ndarray, " n"]  # mean over frames, everyone fused against the last output
     verifications: Float[np.ndarray, " n"]  # mean over frames
     excluded: Float[np.ndarray, " n"]  # mean share of the attackers that the output left out
+    critical: Float[np.ndarray, " n"]  # critical recall that the output lost, mean over frames: the reward `critical`
 
     @classmethod
     def joined(cls, parts: Sequence[Episodes]) -> Episodes:
@@ -90,8 +92,8 @@ def _episodes(rollout: Rollout) -> Episodes:
         out = [
             [v not in kept for v in attackers] for attackers, kept in zip(outcome.attackers, collaborators, strict=True)
         ]
-        frame = [outcome.damage, np.ones(worlds), outcome.similarity, outcome.verifications, np.mean(out, axis=1)]
-        totals += np.where(over, 0.0, np.stack(frame))
+        counted = [outcome.damage, np.ones(worlds), outcome.similarity, outcome.verifications, np.mean(out, axis=1)]
+        totals += np.where(over, 0.0, np.stack([*counted, critical(outcome)]))
         over |= outcome.truncated
     damage, frames, *means = totals
     return Episodes(damage / frames, frames, *(total / frames for total in means))

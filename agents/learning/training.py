@@ -105,6 +105,11 @@ class Recipe:
         check_hyperparameters(self.hyperparameters)
 
     @property
+    def measure(self) -> str:
+        """By what the policy to keep is chosen on the scenes held back: critical recall lost if that is the reward."""
+        return "critical" if self.reward == "critical" else "damage"
+
+    @property
     def hyperparameters(self) -> dict[str, Any]:
         """Of PPO, by name: see `agents.learning.hyperparameters`."""
         return {name: getattr(self, name) for name in PPO_OPTIONS}
@@ -137,7 +142,8 @@ def train(
 ) -> list[Evaluation]:
     """Train by the recipe, from the last checkpoint in `folder` if there is one.
 
-    `folder` then holds the policy that did most damage, `policy.safetensors`.
+    `folder` then holds `policy.safetensors`: the policy that did most damage on the scenes held back, or, with the
+    reward `critical`, the one that cost most critical recall there.
 
     Args:
         recipe: how to train.
@@ -162,7 +168,14 @@ def train(
         load_checkpoint(model, checkpoint)
     elif recipe.begin is not None:
         adopt(model, load_policy(recipe.begin))
-    holdout = Holdout(_held_back(recipe), _exporter(recipe), folder, every=recipe.every, per_frame=env.n_seats)
+    holdout = Holdout(
+        _held_back(recipe),
+        _exporter(recipe),
+        folder,
+        every=recipe.every,
+        per_frame=env.n_seats,
+        measure=recipe.measure,
+    )
 
     def tick(variables: dict[str, Any], _: dict[str, Any]) -> bool:
         report_progress(variables["self"].num_timesteps // env.n_seats)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -66,7 +66,7 @@ def test_baselines_meet_the_scenes_held_back_once(tmp_path: Path, monkeypatch: p
     def play(attack: Any, conditions: Any, bank: SceneBank, *, defender: str, k: int) -> Episodes:
         met.append((type(attack).__name__, conditions.names, conditions.frames))
         assert (defender, k) == ("prbi", 2) and bank is toy_bank()
-        return Episodes(*(np.array([0.5, 0.25]) for _ in range(5)))
+        return Episodes(*(np.array([0.5, 0.25]) for _ in fields(Episodes)))
 
     monkeypatch.setattr("agents.learning.training.open_bank", lambda *_: toy_bank())
     monkeypatch.setattr(program, "play", play)

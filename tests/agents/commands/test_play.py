@@ -53,14 +53,21 @@ def test_episodes_are_kept_and_told(
     assert {run: e.damage.tolist() for run, e in again.items()} == {run: e.damage.tolist() for run, e in played.items()}
 
 
+def test_the_road_side_unit_shares_its_map(args: Args) -> None:
+    assert not conditions_of(args).rsu
+    conditions = conditions_of(replace(args, vehicles=1, rsu=True))
+    assert conditions.settings(1).n_maps == 2 and conditions.describe()["rsu"]
+
+
 def test_intervals_of_shares_stay_in_their_range(args: Args) -> None:
     """Student's would be 0.700 [-0.161, 1.561] here, and -2.30 at the low end of the verifications."""
     damage, ones = np.array([0.3, 0.9, 0.9]), np.ones(3)
-    made = Episodes(damage, ones, ones, np.array([0.0, 0.0, 4.0]), np.array([1.0, 1.0, 1.0]))
+    made = Episodes(damage, ones, ones, np.array([0.0, 0.0, 4.0]), ones, critical=np.array([-0.1, 0.2, 0.2]))
     table = "\n".join(play.report({("none", spec): made for spec in args.attacks}, "none", replace(args, policies=())))
     row = next(line for line in table.splitlines() if line.startswith("| noise |"))
-    loss, excluded, verifications = row.strip("| ").split(" | ")[1:]
-    assert loss == format(share_interval(damage), ".3f") and loss.endswith("]") and "-" not in row
+    loss, critical, excluded, verifications = row.strip("| ").split(" | ")[1:]
+    assert loss == format(share_interval(damage), ".3f") and loss.endswith("]") and "-" not in loss
+    assert critical == "0.10 [-0.33, 0.53]", "a difference may be negative, and has Student's interval"
     assert excluded == "1.00 [0.29, 1.00]" and verifications.startswith("1.33 [0.00, ")
 
 

@@ -11,10 +11,11 @@ import agents
 from agents.learning import training
 from agents.learning.callbacks import read_curve
 from agents.learning.policy import load_policy
-from agents.learning.rollout import play
+from agents.learning.rollout import Episodes, play
 from agents.learning.sweep import Line, TrainingRun, keep, plan_sweep, slug, strongest, summarise, sweep, write_table
 from agents.learning.training import Recipe, train
-from cp_env.evaluation import Conditions
+from cp_env.envs.reward import make_reward
+from cp_env.evaluation import Conditions, Rollout, Run
 from cp_env.world.scene_cache import SceneBank
 from tests.agents.conftest import FRAMES
 
@@ -90,6 +91,36 @@ def test_a_run_begins_where_a_policy_stands(bank: SceneBank, tmp_path: Path) -> 
     train(frozen, tmp_path / "second")
     same = load_policy(tmp_path / "second" / "policy.safetensors")
     assert all((mine == theirs).all() for mine, theirs in zip(same.weights, policy.weights, strict=True))
+
+
+def test_the_policy_to_keep_is_chosen_by_what_is_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The reward `critical` asks for critical recall lost: here the policy in the middle, which does least damage."""
+    recipe = replace(SMALL, action="critical", reward="critical")
+    found = iter([(0.3, 0.1), (0.1, 0.4), (0.2, 0.2)])
+
+    def invented(*_: object, **__: object) -> Episodes:
+        damage, critical = next(found)
+        ones = np.ones(2)
+        return Episodes(damage * ones, ones, ones, ones, ones, critical * ones)
+
+    monkeypatch.setattr(training, "play", invented)
+    curve = train(recipe, tmp_path / "critical")
+    notes = load_policy(tmp_path / "critical" / "policy.safetensors").notes
+    assert [evaluation["critical"] for evaluation in curve] == [0.1, 0.4, 0.2]
+    assert (notes["holdout_critical"], notes["holdout_damage"], notes["timesteps"]) == (0.4, 0.1, 12)
+    found = iter([(0.3, 0.1), (0.1, 0.4), (0.2, 0.2)])
+    train(replace(recipe, reward="damage"), tmp_path / "damage")
+    notes = load_policy(tmp_path / "damage" / "policy.safetensors").notes
+    assert (notes["holdout_damage"], notes["timesteps"]) == (0.3, 0) and "holdout_critical" not in notes
+
+
+def test_lost_critical_recall_is_the_reward_of_the_episode(bank: SceneBank) -> None:
+    """Per frame, as the environment pays it out."""
+    attack, seen = agents.make("nearest_removal:steps=2"), conditions(bank)
+    lost = play(attack, seen, bank, defender="none").critical
+    rollout = Rollout(Run("none", "attack", 2, 0, seen.names), seen, bank, agents.make("nearest_removal:steps=2"))
+    paid = np.mean([make_reward("critical")(rollout.step()) for _ in range(FRAMES)], axis=0)
+    np.testing.assert_allclose(lost, paid, rtol=1e-6)
 
 
 def test_bad_recipes_are_refused() -> None:
