@@ -57,7 +57,15 @@ def survey(
     for number, (name, k) in enumerate(track(jobs, "scores against the ego-only view")):
         rng = np.random.default_rng([seed, number])
         attackers = tuple(sorted((1 + rng.permutation(n_vehicles - 1)[:k]).tolist()))
-        world = World(1, defender=Instrument(), bank=bank, n_vehicles=n_vehicles, attackers=attackers, grace_frames=0)
+        world = World(
+            1,
+            defender=Instrument(),
+            bank=bank,
+            n_vehicles=n_vehicles,
+            attackers=attackers,
+            grace_frames=0,
+            max_frames=frames,  # so the first frame is drawn from the whole scene
+        )
         world.reset([np.random.SeedSequence([seed, number])], options={"scene": name})
         playing = agents.make(attack if k else "none")
         playing.reset(1, rng.spawn(1))

@@ -59,7 +59,7 @@ def survey(
         bank: scenes and detector.
         names: of the scenes.
         n_vehicles: n.
-        frames: of every scene; the first is the reference of the second.
+        frames: of every scene, from a drawn one on; the first is the reference of the second.
         attack: which the attackers play.
         seed: of starts, attackers and noise.
         track: shows the progress over episodes.
@@ -67,7 +67,15 @@ def survey(
     found = no_samples()
     jobs = list(itertools.product(names, range(n_vehicles)))
     for number, (name, k) in enumerate(track(jobs, "similarity to the frame before")):
-        world = World(1, defender=Instrument(), bank=bank, n_vehicles=n_vehicles, n_attackers=k, grace_frames=0)
+        world = World(
+            1,
+            defender=Instrument(),
+            bank=bank,
+            n_vehicles=n_vehicles,
+            n_attackers=k,
+            grace_frames=0,
+            max_frames=frames,  # so the first frame is drawn from the whole scene
+        )
         world.reset([np.random.SeedSequence([seed, number])], options={"scene": name})
         playing = agents.make(attack if k else "none")
         playing.reset(1, np.random.default_rng([seed, number]).spawn(1))
