@@ -98,7 +98,7 @@ def main(args: Args) -> None:
     print(f"{len(check_scenes(source))} laws kept")
     name = source.names()[0]
     frames = range(min(source.load(name).n_frames, args.frames))
-    film.write_gif(film.film(source, name, frames), args.out / "preview.gif", seconds=0.2)
+    film.write_gif(film.film(film.excerpt(source, name, frames)), args.out / "preview.gif", seconds=0.2)
     print(f"{args.out / 'preview.gif'}: {len(frames)} frames of {name}")
     env = cp_env.parallel_env(scenes=source, n_vehicles=args.n_vehicles, n_attackers=1, max_frames=args.frames)
     env.reset(seed=0)

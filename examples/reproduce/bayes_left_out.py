@@ -7,7 +7,8 @@
 the full view of its own frame, while PGD attacks in k = 0 … 4 of five vehicles. A defender that compares nothing else
 can be replayed on these similarities exactly, because PGD does not depend on the defender. The stealthy attacks that
 are measured as well depend on it. They are not replayed, but they are in the densities. The densities of `bayes` are
-those of the other eleven scenes. PRBI's thresholds by size were calibrated on all twelve scenes, which is an advantage.
+those of the other scenes. PRBI's thresholds by size were calibrated on scenes of the same splits, which is an
+advantage.
 
 Frames to convergence: over the episodes that converge within the six measured frames. ID rate and MC rate: share of the
 attackers and of the benign vehicles that are flagged then, or else in the last frame. Attackers fused: frames of six in

@@ -37,6 +37,8 @@ import tyro
 from rich.console import Console
 from rich.progress import Progress
 
+sys.path.insert(0, str(Path(__file__).parents[2]))  # figures and the paper's tables are other examples
+
 import agents
 from agents.attacks.cached import CachedAttack
 from cp_env import evaluation
