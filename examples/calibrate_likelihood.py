@@ -20,6 +20,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
+from agents.arena.conditions import spread
 from agents.calibration.comparisons import Episodes, Measurement, survey
 from agents.calibration.densities import Smoothing, Values, by_kind, left_out
 from agents.commands.common import Victim
@@ -31,6 +32,7 @@ from cp_env.world.scene_cache import SceneBank
 @dataclass(frozen=True)
 class Args(Victim):
     scenes: str = "town/calibration+junction/calibration"
+    n_scenes: int | None = None  # so many of them, spread evenly (all by default)
     episodes: Episodes = field(default_factory=Episodes)
     smoothing: Smoothing = field(default_factory=Smoothing)
     threads: int = 1
@@ -41,7 +43,7 @@ class Args(Victim):
 def measured(args: Args) -> list[Measurement]:
     """Every scene under every attack."""
     bank = SceneBank(open_source(args.scenes), args.open_detector())
-    return list(survey(bank, bank.source.names(), args.episodes, args.out, track))
+    return list(survey(bank, spread(bank.source.names(), args.n_scenes), args.episodes, args.out, track))
 
 
 def report(values: Values, args: Args) -> Table:
