@@ -22,6 +22,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
+from agents.arena.conditions import spread
 from agents.calibration.ego_view import survey, thresholds
 from agents.calibration.samples import Samples, errors, pooled
 from agents.commands.common import Victim
@@ -37,9 +38,9 @@ PAPER = {"agreement": 0.08, "similarity": 0.3}
 @dataclass(frozen=True)
 class Args(Victim):
     scenes: str = "town/calibration+junction/calibration"
-    n_scenes: int | None = None  # the first so many (all by default)
+    n_scenes: int | None = None  # so many of them, spread evenly (all by default)
     n_vehicles: int = 5
-    frames: int = 6  # of every scene
+    frames: int = 6  # of every scene, from a drawn one on
     attack: str = "pgd"
     seed: int = 0
     threads: int = 1
@@ -99,7 +100,7 @@ def main(args: Args) -> None:
     bank = SceneBank(open_source(args.scenes), args.open_detector())
     found = survey(
         bank,
-        bank.source.names()[: args.n_scenes],
+        spread(bank.source.names(), args.n_scenes),
         n_vehicles=args.n_vehicles,
         frames=args.frames,
         attack=args.attack,

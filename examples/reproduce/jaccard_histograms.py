@@ -31,12 +31,12 @@ from rich.progress import track
 from rich.table import Table
 
 import agents
-from cp_env.detector import load_detector
+from cp_env.detector.registry import open_detector
 from cp_env.metrics.shares import share_interval
 from cp_env.metrics.similarity import view_similarity_many
 from cp_env.rendering import style
 from cp_env.scenes import open_source
-from cp_env.settings import Fusion
+from cp_env.settings import Fusion, Precision
 from cp_env.types import SceneSource
 from cp_env.world.scene_cache import SceneBank
 from cp_env.world.world import World
@@ -57,6 +57,7 @@ class Args:
     fusions: tuple[Fusion, ...] = ("v2vnet",)  # the paper's backbone; also mean, max, sum, disconet
     n_vehicles: int = 5
     n_attackers: int = 2
+    precision: Precision = "float32"  # of the detector's maps, fusion and decoder
     seed: int = 0
     threads: int = 1
     out: Path = Path("out/jaccard")
@@ -68,7 +69,7 @@ def survey(args: Args) -> Found:
     chosen = [(kind, name) for kind in KINDS for name in of_kind(source, kind)[: args.n_scenes]]
     found: Found = {}
     for fusion in args.fusions:
-        bank = SceneBank(source, load_detector(fusion), progress=False)
+        bank = SceneBank(source, open_detector(fusion=fusion, precision=args.precision), progress=False)
         jobs = list(itertools.product(CONDITIONS, chosen))
         for condition, (kind, name) in track(jobs, fusion, console=Console(stderr=True)):
             key = (

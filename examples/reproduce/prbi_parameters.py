@@ -32,7 +32,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-import agents
+from agents.arena import make_attack
 from cp_env import evaluation
 from cp_env.evaluation import Record
 from cp_env.metrics.identification import id_rate, mc_rate
@@ -40,6 +40,7 @@ from cp_env.metrics.intervals import Interval, bootstrap_interval, jackknife_int
 from cp_env.metrics.shares import share_interval
 from cp_env.rendering import style
 from cp_env.scenes import open_source
+from cp_env.settings import Precision
 from defenders import Prbi
 from defenders.simulation.statistics import play_many
 from defenders.simulation.world import Scenario
@@ -81,6 +82,7 @@ class Args:
     scenes: str = "town/test"
     n_scenes: int = 2
     frames: int = 20  # of every scene, on the detector
+    precision: Precision = "float32"  # of the detector's maps, fusion and decoder
     workers: int = 1
     threads: int = 1
     out: Path = field(default=Path("out/prbi/parameters"))
@@ -159,11 +161,11 @@ def perfect(args: Args) -> Iterator[Row]:
 def on_the_detector(args: Args) -> Iterator[Row]:
     names = tuple(open_source(args.scenes).names())
     chosen = tuple(names[i * len(names) // args.n_scenes] for i in range(args.n_scenes))
-    conditions = evaluation.Conditions(args.scenes, chosen, args.frames, N)
+    conditions = evaluation.Conditions(args.scenes, chosen, args.frames, N, precision=args.precision)
     specs = {s: f"prbi:alpha={s[0]},window={s[1]},threshold={args.threshold}" for s in dict.fromkeys(SETTINGS)}
     seeds, defenders = (args.seed,), tuple(specs.values())
-    runs = evaluation.plan_runs(conditions, defenders=defenders, attacks=("pgd",), ks=args.ks, seeds=seeds, batch=4)
-    workers = evaluation.Workers(make_attack=agents.make, processes=args.workers, threads=args.threads)
+    runs = evaluation.plan_runs(conditions, defenders=defenders, attacks=("pgd",), ks=args.ks, seeds=seeds, batch=7)
+    workers = evaluation.Workers(make_attack=make_attack, processes=args.workers, threads=args.threads)
     store = evaluation.Store(args.out, evaluation.open_bank(conditions).detector.digest)
     for _ in track(evaluation.prepare(runs, conditions, workers), "opening", total=len(chosen)):
         pass

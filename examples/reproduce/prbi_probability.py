@@ -27,12 +27,13 @@ from rich.progress import track
 from rich.table import Table
 
 import agents
-from cp_env.detector import load_detector
+from cp_env.detector.registry import open_detector
 from cp_env.evaluation.plan.files import write_atomically
 from cp_env.metrics.intervals import t_interval
 from cp_env.metrics.shares import share_interval
 from cp_env.rendering import style
 from cp_env.scenes import open_source
+from cp_env.settings import Precision
 from cp_env.world.scene_cache import SceneBank
 from cp_env.world.world import World
 from defenders import Prbi
@@ -51,6 +52,7 @@ class Args:
     detector: bool = False  # play on the detector instead
     scenes: str = "town/test"
     n_scenes: int = 2
+    precision: Precision = "float32"  # of the detector's maps, fusion and decoder
     threads: int = 1
     out: Path = Path("out/prbi/probability")
 
@@ -82,7 +84,7 @@ def under_the_truth(args: Args, k: int, run: int) -> Run:
 
 def on_the_detector(args: Args) -> list[Run]:
     """A file for each k and scene; those that are there already are read."""
-    bank = SceneBank(open_source(args.scenes), load_detector(), progress=False)
+    bank = SceneBank(open_source(args.scenes), open_detector(precision=args.precision), progress=False)
     names = bank.source.names()
     chosen = [names[i * len(names) // args.n_scenes] for i in range(args.n_scenes)]
     jobs = [(k, name) for k in args.ks for name in chosen]
@@ -161,7 +163,7 @@ def main(args: Args) -> None:
     runs = on_the_detector(args) if args.detector else perfect(args)
     Console(width=100).print(show(runs, where))
     args.out.mkdir(parents=True, exist_ok=True)
-    path = args.out / where.replace(" ", "-")
+    path = args.out / ("prbi-probability-detector" if args.detector else "prbi-probability")
     data = {"args": vars(args), "runs": [asdict(run) for run in runs]}
     path.with_suffix(".json").write_text(json.dumps(data, default=str) + "\n")
     draw(runs, path.with_suffix(".png"), where)

@@ -18,6 +18,7 @@ import json
 import math
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -28,6 +29,8 @@ from rich.table import Table
 
 import defenders
 from cp_env.metrics.intervals import Interval, bootstrap_interval, jackknife_interval
+from cp_env.rendering import style
+from cp_env.settings import Precision
 from defenders.pasac import halves
 from defenders.simulation.statistics import play_many
 from defenders.simulation.world import Scenario
@@ -42,7 +45,7 @@ PAPER = {  # of n = 5, k = 1 … 4: least, most, mean
 ROUND = 100  # frames with the same attackers, where every frame counts as an episode
 MANY = 100  # episodes from which on the bootstrap covers: see `cp_env.metrics.intervals`
 MOST_FRAMES = 200  # for PRBI to converge
-COLOURS = dict(zip(ROWS, ("tab:orange", "tab:green", "tab:blue", "tab:purple"), strict=True))
+COLOURS = dict(zip(ROWS, [style.DEFENDERS[name] for name in ("robosac", "pasac", "robust_prbi", "prbi")], strict=True))
 
 
 @dataclass(frozen=True)
@@ -61,6 +64,8 @@ class Args:
     n_scenes: int = 3
     frames: int = 6
     """of every scene, with the detector"""
+    precision: Precision = "float32"
+    """of the detector's maps, fusion and decoder"""
     threads: int = 1
     out: Path = Path("out/verifications")
 
@@ -88,13 +93,13 @@ def count_on_detector(row: str, k: int, args: Args) -> np.ndarray:
     import torch
 
     import agents
-    from cp_env.detector import load_detector
+    from cp_env.detector.registry import open_detector
     from cp_env.scenes import open_source
     from cp_env.world.scene_cache import SceneBank
     from cp_env.world.world import World
 
     torch.set_num_threads(args.threads)
-    bank = SceneBank(open_source(args.scenes), load_detector())
+    bank = SceneBank(open_source(args.scenes), open_detector(precision=args.precision))
     counts = np.full((args.n_scenes, args.frames - 1), -1)
     names = bank.source.names()
     for number, scene in enumerate(names[i * len(names) // args.n_scenes] for i in range(args.n_scenes)):
@@ -191,13 +196,14 @@ def paper_table(
     table = Table("", "k", "mean [95 %]", "exact", "min", "max", "paper: mean", "min", "max", title=title)
     for row, k in counts:
         frames, worked = pooled(counts[row, k]), exact(row, args.n, k)
-        least, most, average = PAPER[row][k - 1] if args.n == 5 else ("", "", "")
+        least, most, average = PAPER[row][k - 1] if args.n == 5 else ("", "", math.nan)
         ours = f"{means[row, k]:.2f}", "" if worked is None else f"{worked:.2f}", frames.min(), frames.max()
-        cells = map(str, (*ours, average, least, most))
+        cells = map(str, (*ours, "" if math.isnan(average) else f"{average:.2f}", least, most))
         table.add_row(row if k == 1 else "", str(k), *cells, end_section=k == args.n - 1)
     return table
 
 
+@style.plot_style()
 def draw(
     counts: dict[tuple[str, int], np.ndarray],
     means: dict[tuple[str, int], Interval],
@@ -205,26 +211,33 @@ def draw(
     path: Path,
     verifier: str,
 ) -> Path:
-    figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.7), layout="constrained")
+    figure, (left, right) = plt.subplots(1, 2, figsize=(style.PAGE, 3.9), layout="constrained")
     attackers, middle = np.arange(1, args.n), args.n // 2
-    for shift, row in zip(np.linspace(-0.12, 0.12, len(args.rows)), args.rows, strict=True):
+    mark: dict[str, Any] = {"ms": 7, "mew": 1.6}
+    for shift, row in zip(np.linspace(-0.18, 0.18, len(args.rows)), args.rows, strict=True):
         ours = [means[row, k] for k in range(1, args.n)]
         reach = [[i.mean - i.low for i in ours], [i.high - i.mean for i in ours]]
-        style = {"color": COLOURS[row], "label": row}
-        left.errorbar(attackers + shift, [i.mean for i in ours], reach, fmt="o-", ms=4, capsize=3, **style)
+        line: dict[str, Any] = {"color": COLOURS[row], "label": row}
+        left.errorbar(attackers + shift, [i.mean for i in ours], reach, fmt="o-", ms=4, capsize=3, **line)
         if args.n == 5:
-            left.plot(attackers + shift, [average for *_, average in PAPER[row]], "x", ms=8, color=COLOURS[row])
+            left.plot(
+                attackers + shift, [average for *_, average in PAPER[row]], "x", ms=7, mew=1.6, color=COLOURS[row]
+            )
         values, first = np.unique(np.sort(pooled(counts[row, middle])), return_index=True)
-        right.step(values, 1 - first / pooled(counts[row, middle]).size, where="pre", **style)
+        right.step(values, 1 - first / pooled(counts[row, middle]).size, where="pre", **line)
     if args.n == 5:
-        left.plot([], [], "x", ms=8, color="grey", label="the paper's")
+        left.plot([], [], "x", **mark, color=style.GREY, label="the paper's mean")
     left.set(xlabel="attackers k", ylabel="verifications/frame", xticks=attackers, ylim=(0, None))
-    left.set_title(f"n = {args.n}, 95 % intervals over episodes")
-    figure.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=5, fontsize=9)
-    right.set(xlabel="verifications in a frame, x", ylabel="share of frames with x or more", yscale="log")
-    right.set_title(f"k = {middle} of n = {args.n}")
-    figure.suptitle(f"Cost of a frame, {verifier}")
-    figure.savefig(path, dpi=110)
+    left.set_title("mean, 95 % intervals over episodes")
+    right.set(xlabel="x, verifications in a frame", ylabel="share of frames with x or more", yscale="log")
+    right.yaxis.set_major_formatter("{x:g}")
+    right.set_title(f"k = {middle}")
+    handles, labels = left.get_legend_handles_labels()
+    own = [labels.index(row) for row in args.rows]
+    order = [*own, *(number for number in range(len(labels)) if number not in own)]
+    figure.legend([handles[i] for i in order], [labels[i] for i in order], loc="outside lower center", ncols=3)
+    figure.suptitle(f"Verifications in a frame, n = {args.n}, {verifier}")
+    style.save_plot(figure, path)
     plt.close(figure)
     return path
 
