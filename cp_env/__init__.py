@@ -15,6 +15,7 @@ from collections.abc import Callable
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from cp_env.process import watch_in_worker
 from cp_env.registration import ENV_ID, register_ids
 
 if TYPE_CHECKING:
@@ -82,7 +83,8 @@ def parallel_env(
               of yours, or any `SceneSource`.
             * `action` ("guided"): how a Box in [-1, 1] becomes a perturbation. "full": the raw map (C, H, W), times the
               budget; "basis": a few coefficients on fixed directions; "guided": eight numbers that steer an ascent of
-              the detector's gradient; "stealth": the same, held back so that the ego's view resembles its last output.
+              the detector's gradient; "stealth": the same, held back so that the ego's view resembles its last output;
+              "critical": as "stealth", aimed ahead of the ego.
               Numbers outside the box are clipped to it; NaN and infinity are refused.
             * `observation` ("features"): "features": a Dict of the slot's own encoded map `features` (C, H, W) and a
               `context` vector, whose entries `cp_env.envs.observation.context_names` names; "compact": one vector of at
@@ -166,4 +168,5 @@ def vector_env(
     return JointAdversaryVectorEnv(num_envs, defender, **options)
 
 
+watch_in_worker()
 register_ids()

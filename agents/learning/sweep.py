@@ -8,7 +8,6 @@ and reported on others.
 from __future__ import annotations
 
 import json
-import multiprocessing
 import shutil
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, wait
@@ -22,8 +21,8 @@ import torch
 from agents.learning.callbacks import Evaluation, read_curve
 from agents.learning.rollout import slug
 from agents.learning.training import Recipe, train
-from cp_env.evaluation.execution.processes import end_with_parent
 from cp_env.metrics.shares import share_interval
+from cp_env.process import WorkerContext, end_with_parent
 from cp_env.world.allocator import keep_freed_memory
 from defenders.registry import Spec, typed_options
 
@@ -49,8 +48,8 @@ class TrainingRun:
 
     @property
     def best(self) -> Evaluation:
-        """The evaluation with the highest damage."""
-        return max(self.curve, key=lambda evaluation: evaluation["damage"])
+        """The evaluation of the policy that the run has kept."""
+        return max(self.curve, key=lambda evaluation: evaluation[self.recipe.measure])
 
 
 def plan_sweep(
@@ -103,8 +102,7 @@ def sweep(runs: Sequence[TrainingRun], workers: int) -> Iterator[int]:
             _train(run)
             yield _learned(runs)
         return
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, mp_context=context, initializer=_begin_worker) as pool:
+    with ProcessPoolExecutor(workers, mp_context=WorkerContext(), initializer=_begin_worker) as pool:
         futures: set[Future[None]] = {pool.submit(_train, run) for run in runs}
         try:
             while futures:

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import ctypes
-import multiprocessing
-import os
 import signal
-import sys
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
@@ -17,13 +14,15 @@ from typing import Any, TypeVar
 
 import torch
 
+from cp_env.process import WorkerContext, end_with_parent
 from cp_env.world.allocator import keep_freed_memory
 from defenders.failure import Failure as Failure
 from defenders.failure import failure_of
 
 T = TypeVar("T")
 Call = tuple[Any, ...]
-_PR_SET_PDEATHSIG = 1  # of Linux's prctl: a signal when the parent's thread ends that started this process
+_LEAVING = 1.0
+"""Seconds for workers to leave by themselves, so that what plug-ins do at the end of a process is mostly done."""
 
 
 def attempt(task: Callable[..., T], call: Call) -> T | Failure:
@@ -39,9 +38,16 @@ def in_processes(
 ) -> Iterator[tuple[int, T | Failure]]:
     """`task(*call)` for every call: its number and its result, as they come.
 
-    A worker ends with its parent, also if that is killed (see `end_with_parent`).
+    No worker outlives the iteration, whether it comes to its end or is closed before. A worker ends with its parent,
+    also if that is killed (see `cp_env.process`).
     """
     waiting, busy = deque(range(len(calls))), dict[Connection, tuple[BaseProcess, int]]()
+    hired: list[BaseProcess] = []
+
+    def hire() -> None:
+        connection, process = _hire(threads)
+        hired.append(process)
+        send(connection, process)
 
     def send(connection: Connection, process: BaseProcess) -> None:
         if waiting:
@@ -54,7 +60,7 @@ def in_processes(
 
     try:
         for _ in range(min(workers, len(calls))):
-            send(*_hire(threads))
+            hire()
         while busy:
             for connection in wait(list(busy)):
                 assert isinstance(connection, Connection)
@@ -66,49 +72,33 @@ def in_processes(
                     process.join()
                     result = Failure(f"its process died (exit code {process.exitcode})")
                     if waiting:
-                        send(*_hire(threads))
+                        hire()
                 yield number, result
-    finally:  # an error, or a caller that stops asking
+    finally:  # at the end, and after an error, or if the caller stops asking
         for connection, (process, _) in busy.items():
             process.kill()
             connection.close()
-        for process, _ in busy.values():
-            process.join()
+        _see_off(hired)
+
+
+def _see_off(processes: Sequence[BaseProcess]) -> None:
+    """Wait until all have ended; one that still leaves after `_LEAVING` seconds is killed, as nobody needs it."""
+    deadline = time.monotonic() + _LEAVING
+    for process in processes:
+        process.join(max(deadline - time.monotonic(), 0.0))
+        process.kill()
+        process.join()
 
 
 def _hire(threads: int) -> tuple[Connection, BaseProcess]:
     """A new worker and the connection to it."""
-    context = multiprocessing.get_context("spawn")
+    context = WorkerContext()
     ours, theirs = context.Pipe()
     lasting = threading.current_thread() is threading.main_thread()
     process = context.Process(target=_serve, args=(theirs, threads, lasting), daemon=True)
     process.start()
     theirs.close()
     return ours, process
-
-
-def end_with_parent(*, by_signal: bool = False) -> None:
-    """Let this process end as soon as the one that started it has ended, however that came about.
-
-    A thread waits for the parent's end; it needs Python to take turns between threads. It does nothing in a process
-    that `multiprocessing` did not start. Give it to a pool of processes as `initializer`.
-
-    Args:
-        by_signal: on Linux, have the kernel kill this process, too, which needs no thread of ours. That is tied to the
-            thread that started the process: only for one that lives as long as its process, the main thread.
-    """
-    parent = multiprocessing.parent_process()
-    if parent is None:
-        return
-    if by_signal and sys.platform == "linux":
-        with suppress(OSError, AttributeError):
-            ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
-
-    def watch(sentinel: int) -> None:
-        wait([sentinel])
-        os._exit(1)
-
-    threading.Thread(target=watch, args=(parent.sentinel,), name="parent's end", daemon=True).start()
 
 
 def _serve(line: Connection, threads: int, by_signal: bool) -> None:

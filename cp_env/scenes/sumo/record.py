@@ -14,10 +14,10 @@ import json
 import sys
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Literal
 
+from cp_env.process import WorkerContext, end_with_parent
 from cp_env.progress import say, track
 from cp_env.scenes.formats import recording
 from cp_env.scenes.sumo.regimes import REGIMES, Pace, pace_of
@@ -73,7 +73,6 @@ def _record(out: Path, name: str, pace: Pace, seed: int) -> None:
 
 def main(args: Args) -> None:
     """Record what is missing in `args.out`, or describe what is there."""
-    from cp_env.evaluation.execution.processes import end_with_parent
     from cp_env.scenes.preview.statistics import table
 
     family = FAMILIES[args.regime]
@@ -90,7 +89,7 @@ def main(args: Args) -> None:
     names = plan(args.regime, (train, calibration, test))
     wanted = [(name, pace_of(k)) for split in SPLITS for k, name in enumerate(names[split])]
     missing = [(name, pace) for name, pace in wanted if not _path(out, name).exists()]
-    with ProcessPoolExecutor(args.jobs, mp_context=get_context("spawn"), initializer=end_with_parent) as pool:
+    with ProcessPoolExecutor(args.jobs, mp_context=WorkerContext(), initializer=end_with_parent) as pool:
         jobs = [pool.submit(_record, out, name, pace, args.seed) for name, pace in missing]
         for job in track(as_completed(jobs), "scenes", len(jobs), "scene"):
             job.result()

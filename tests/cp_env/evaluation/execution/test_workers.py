@@ -11,7 +11,6 @@ import time
 from collections.abc import Callable, Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -149,19 +148,31 @@ def test_workers_end_within_two_seconds_of_their_killed_parent(task: str, from_t
                 os.kill(process, signal.SIGKILL)
 
 
-@NO_PROC
-def test_workers_end_with_whoever_stops_asking(tmp_path: Path) -> None:
-    calls: list[tuple[Any, ...]] = [(str(tmp_path), 0), (str(tmp_path), 1)]
-    answers = in_processes(sleeping_but_first, calls, 2, 1)
-    assert next(answers) == (0, None)
-    workers = [int(file.name) for file in tmp_path.iterdir()]
-    answers.close()  # type: ignore[attr-defined]
-    gone_after(workers, 2.0)
-
-
-def sleeping_but_first(folder: str, number: int) -> None:
+def late_but_first(folder: str, number: int) -> None:
+    """The first call is over at once."""
     (Path(folder) / f"{os.getpid()}").touch()
     time.sleep(600 * number)
+
+
+def leaves_a_thread(folder: str, number: int) -> None:
+    """The call is over at once; its process cannot leave, as Python waits for a thread that the call has started."""
+    (Path(folder) / f"{os.getpid()}").touch()
+    threading.Thread(target=time.sleep, args=(600 + number,)).start()
+
+
+@NO_PROC
+@pytest.mark.parametrize(("task", "asked"), [(late_but_first, 1), (leaves_a_thread, 1), (leaves_a_thread, 3)])
+def test_no_worker_outlives_whoever_stops_asking(task: Callable[..., None], asked: int, tmp_path: Path) -> None:
+    """At work, idle or unable to leave; also after the last answer."""
+    answers = in_processes(task, [(str(tmp_path), number) for number in range(2)], 2, 1)
+    for _ in range(min(asked, 2)):
+        next(answers)
+    if asked > 2:
+        assert list(answers) == []
+    else:
+        answers.close()  # type: ignore[attr-defined]
+    workers = [int(file.name) for file in tmp_path.iterdir()]
+    assert workers and not any(map(alive, workers))
 
 
 def test_workers_outlive_the_thread_that_started_them() -> None:
