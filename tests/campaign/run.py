@@ -39,9 +39,11 @@ class Args:
     kills: int = 100
     inputs: int = 1_000_000
     minutes: float = 30.0
-    """of the soak"""
+    """of the soak that lasts so long"""
+    resets: int = 10_000
+    """of the soak that lasts until so many"""
     scenes: str = "town/test"
-    """of the soak and of equal trajectories; or "toy", which need no detector of the size of ours"""
+    """of the soak of minutes and of equal trajectories; or "toy", which need no detector of the size of ours"""
     seed: int = 0
     again: bool = False
     """try cases again that held"""
@@ -59,7 +61,7 @@ def planned(args: Args) -> list[Case]:
     cases = {
         kills.PART: lambda: kills.cases(args.kills, args.seed),
         fuzz.PART: lambda: fuzz.cases(args.inputs, args.seed),
-        soak.PART: lambda: soak.cases(args.minutes, args.scenes, args.seed),
+        soak.PART: lambda: soak.cases(args.minutes, args.resets, args.scenes, args.seed),
         sharing.PART: lambda: sharing.cases(args.seed),
         equality.PART: lambda: equality.cases(args.seed, scenes=args.scenes),
         pages.PART: lambda: pages.cases(),

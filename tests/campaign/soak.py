@@ -1,9 +1,11 @@
 """The soak: worlds are stepped and reset for a long time, and neither memory nor handles grow.
 
     python -m tests.campaign.soak --minutes 30 --scenes town/test --out samples.jsonl
+    python -m tests.campaign.soak --resets 10_000 --frames 1 --scenes toy --out samples.jsonl
 
-Environments of two defenders take turns. Sampled are the resident memory, open files, threads, child processes and
-files of shared memory. The first half of the time fills the caches, which are bounded; it is not judged.
+One soak lasts so many minutes, another so many resets, on toy scenes in episodes of one frame. Environments of two
+defenders take turns. Sampled are the resident memory, open files, threads, child processes and files of shared memory.
+The first half of the time fills the caches, which are bounded; it is not judged.
 """
 
 from __future__ import annotations
@@ -15,7 +17,7 @@ import mmap
 import statistics
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +33,12 @@ DEFENDERS = ("prbi", "bayes")
 GROWTH = 0.02
 """Share by which memory may grow from the third to the last quarter of the time: what allocators give and take."""
 
+SHORT = 1
+"""Frames of an episode where resets are counted."""
+
+LONGEST = 4 * 3600.0
+"""Seconds in which a number of resets must be reached."""
+
 HANDLES = ("files", "threads", "children", "shared")
 
 
@@ -39,6 +47,9 @@ class Args:
     """Options of the program."""
 
     minutes: float = 30.0
+    """how long; it counts for nothing if `resets` is given"""
+    resets: int | None = None
+    """how many resets of single worlds"""
     worlds: int = 16
     frames: int = 3
     """frames of an episode"""
@@ -64,20 +75,30 @@ class Sample:
     shared: int
 
 
-def cases(minutes: float, scenes: str, seed: int) -> list[Case]:
-    name = f"16 worlds on {scenes}, {minutes:g} minutes, seed {seed}"
-    return [Case(PART, name, functools.partial(play, minutes, scenes, seed))]
+def cases(minutes: float, resets: int, scenes: str, seed: int) -> list[Case]:
+    """One soak of so many minutes, and one of so many resets."""
+    long = Args(minutes=minutes, scenes=scenes, seed=seed)
+    short = Args(resets=resets, frames=SHORT, scenes="toy", seed=seed)
+    named = {
+        f"{long.worlds} worlds on {scenes}, {minutes:g} minutes, seed {seed}": long,
+        f"{short.worlds} worlds on toy, {resets:,} resets of one-frame episodes, seed {seed}": short,
+    }
+    return [Case(PART, name, functools.partial(play, args)) for name, args in named.items()]
 
 
-def play(minutes: float, scenes: str, seed: int, folder: Path) -> Figures:
+def play(args: Args, folder: Path) -> Figures:
     """One soak in a process of its own; its figures, if nothing grew."""
     samples = folder / "samples.jsonl"
-    words = ["-m", "tests.campaign.soak", "--minutes", f"{minutes:g}", "--scenes", scenes, "--seed", str(seed)]
-    words += ["--out", str(samples)]
+    words = ["-m", "tests.campaign.soak"]
+    for name, value in asdict(replace(args, out=samples)).items():
+        words += [] if value is None else [f"--{name}", str(value)]
     with started(words, folder, env={"CP_ENV_CACHE": str(folder / "cache")}) as program:
-        if program.wait(minutes * 60 * 2 + 900) != 0:
+        if program.wait(args.minutes * 60 * 2 + 900 if args.resets is None else LONGEST) != 0:
             raise Fault(f"the soak ended with {program.process.returncode}: {program.said()}")
-    return judged([Sample(**json.loads(line)) for line in samples.read_text().splitlines()])
+    found = [Sample(**json.loads(line)) for line in samples.read_text().splitlines()]
+    if args.resets is not None and found[-1].resets < args.resets:
+        raise Fault(f"{found[-1].resets:,} resets, not {args.resets:,}")
+    return judged(found)
 
 
 def judged(samples: Sequence[Sample]) -> Figures:
@@ -119,16 +140,18 @@ def soak(args: Args) -> Iterator[Sample]:
     for number, env in enumerate(made):
         env.reset(seed=args.seed + 1000 * number)
         env.action_space.seed(args.seed)
-    begin = last = time.monotonic()
-    resets, frames = args.worlds * len(made), 0
-    while (now := time.monotonic()) - begin < args.minutes * 60:
+    begin, seen = time.monotonic(), 0.0
+    resets, frames, share = args.worlds * len(made), 0, 0.0
+    while share < 1:
         for env in made:
             for _ in range(args.frames):
                 truncated = env.step(env.action_space.sample())[3]
                 resets, frames = resets + int(truncated.sum()), frames + args.worlds
-        if now - last >= args.minutes * 60 / args.samples:
-            last = now
-            yield _sample(now - begin, resets, frames)
+        seconds = time.monotonic() - begin
+        share = seconds / (60 * args.minutes) if args.resets is None else resets / args.resets
+        if share >= min(seen + 1 / args.samples, 1):
+            seen = share
+            yield _sample(seconds, resets, frames)
     for env in made:
         env.close()
 
