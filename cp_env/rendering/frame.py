@@ -1,7 +1,7 @@
 """The picture of one frame: everyone fused next to the output of the defended ego, or that output alone.
 
 `Picture` holds everything that is drawn; `draw` and `draw_output` are pure functions of it. A frame takes some ten
-milliseconds. Each colour and shape means one thing (`cp_env.rendering.style.DARK`):
+milliseconds. Each colour and shape means one thing (`cp_env.palette.colours.DARK`):
     grey, white         LiDAR points of the others, of the ego (the ground's are darker)
     green, blue         a true vehicle that was found, and the box that the ego perceives there
     yellow, filled      a true vehicle that was missed

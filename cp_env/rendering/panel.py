@@ -15,8 +15,8 @@ from jaxtyping import Float, UInt8
 from PIL import Image, ImageDraw, ImageFont
 
 from cp_env.geometry.planar import corners
+from cp_env.palette.colours import DARK, Colour, rgb
 from cp_env.rendering.picture import STANDING, Picture, wrong_rows
-from cp_env.rendering.style import DARK, Colour, rgb
 from cp_env.types import Detections
 
 Image3 = UInt8[np.ndarray, "H W 3"]

@@ -1,10 +1,7 @@
 """One style for all pictures: colours with fixed meanings, type sizes, widths, and how plots are stored.
 
-The colours are those of Okabe and Ito, which people with any of the common colour deficiencies tell apart. What is
-wrong in a picture differs in shape as well: a missed vehicle is filled, a ghost is crossed out. Films stand on a dark
-ground (`DARK`), plots on a white one (`LIGHT`); a meaning keeps its hue on both.
-
-Source: M. Okabe, K. Ito, Color Universal Design (2008).
+The colours are those of `cp_env.palette.colours`. What is wrong in a picture differs in shape as well: a missed vehicle
+is filled, a ghost is crossed out.
 """
 
 from __future__ import annotations
@@ -12,68 +9,47 @@ from __future__ import annotations
 import io
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from PIL import Image
 
+from cp_env.palette.colours import (
+    BAND,
+    BLACK,
+    BLUE,
+    DARK,
+    GREEN,
+    GREY,
+    GRID,
+    LIGHT,
+    ORANGE,
+    PURPLE,
+    SILVER,
+    SKY,
+    VERMILLION,
+    YELLOW,
+    Colour,
+    Meanings,
+    rgb,
+)
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Colour = tuple[int, int, int]
-"""Red, green, blue, 0 to 255."""
-
-BLACK, GREY, SILVER = "#1A1A1A", "#6B6B6B", "#A9AFB7"
-BLUE, SKY, GREEN = "#0072B2", "#56B4E9", "#009E73"
-YELLOW, ORANGE, VERMILLION, PURPLE = "#F0E442", "#E69F00", "#D55E00", "#CC79A7"
-GRID, BAND = "#E3E6EA", "#FBF6C2"
+__all__ = [  # the colours as well: a program of plots needs no other module
+    "BAND", "BLACK", "BLUE", "DARK", "DEFENDERS", "DPI", "GREEN", "GREY", "GRID", "LIGHT", "ORANGE", "PAGE", "PURPLE",
+    "SILVER", "SKY", "SPARE", "VERMILLION", "YELLOW", "Colour", "Meanings", "attacker_colours", "defender_colours",
+    "parameters", "plot_style", "rgb", "save_image", "save_plot", "share_axis",
+]  # fmt: skip
 
 PAGE = 6.9
 """Width of a plot, inches: a page of the documentation is 690 pixels wide, and text of 9 points stays readable."""
 DPI = 200
 """Pixels per inch of a stored plot: two for each pixel of the page."""
 
-
-@dataclass(frozen=True)
-class Meanings:
-    """The colour of everything that a picture of a frame shows."""
-
-    ground: str
-    ink: str  # text, and discs of vehicles that are fused
-    faint: str  # lesser text, and rings of vehicles that are not fused
-    grid: str
-    street: str  # LiDAR points of the ground
-    others: str  # points of the other vehicles' LiDAR
-    ego: str  # points of the ego's LiDAR
-    truth: str  # true vehicles that were found
-    found: str  # boxes that the ego perceives where a vehicle is
-    missed: str
-    ghost: str
-    attacker: str
-    suspect: str
-
-
-LIGHT = Meanings(
-    "#FFFFFF", BLACK, GREY, GRID, "#DDDDDD", "#B5BAC2", GREY, GREEN, BLUE, YELLOW, PURPLE, VERMILLION, ORANGE
-)
-DARK = Meanings(
-    ground="#0D1016",
-    ink="#F2F4F8",
-    faint="#B4BCC8",
-    grid="#232A35",
-    street="#39414E",
-    others="#808B9B",
-    ego="#DCE2EA",
-    truth="#2FC79B",
-    found="#4FB0F5",
-    missed="#F0E442",
-    ghost="#E78AC0",
-    attacker="#F26A1B",
-    suspect="#F5B52E",
-)
 
 DEFENDERS: Mapping[str, str] = {
     "none": GREY,
@@ -88,11 +64,6 @@ DEFENDERS: Mapping[str, str] = {
 """The colour of each defender in every plot."""
 SPARE = (SKY, PURPLE, "#8C6D1F", "#7B5EA7", "#4E9F3D", YELLOW, "#8A2A2A")
 """Colours of further defenders, and of the same ones with other options."""
-
-
-def rgb(colour: str) -> Colour:
-    """Red, green and blue of "#RRGGBB"."""
-    return int(colour[1:3], 16), int(colour[3:5], 16), int(colour[5:7], 16)
 
 
 def defender_colours(names: Sequence[str]) -> dict[str, tuple[float, float, float]]:
