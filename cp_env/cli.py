@@ -113,10 +113,10 @@ def scenes_preview(
     name = source.names()[0] if scene is None else scene
     loaded = source.load(name)
     chosen = list(range(0, min(loaded.n_frames, frames or loaded.n_frames), every))
-    found = film.figures(source, name, chosen)
-    for table in tables(found, vehicles):
+    part = film.excerpt(source, name, chosen)
+    for table in tables(film.figures(part), vehicles):
         Console().print(table)
-    film.write_gif(film.film(source, name, chosen, extent=extent), out, seconds=every * loaded.dt)
+    film.write_gif(film.film(part, extent=extent), out, seconds=every * loaded.dt)
     Console().print(f"{out}: {len(chosen)} frames of {name}", soft_wrap=True)
 
 
@@ -145,13 +145,13 @@ def play(
         defender: the ego's defence, a name of `defenders.names()` with options if need be.
         out: where the GIF goes.
         scenes: a name such as "town/test", or kind:path?option=value&option=value (docs/scenes.md).
-        action: "guided", "stealth", "basis" or "full".
+        action: "guided", "stealth", "critical", "basis" or "full".
         fusion: "mean", "max", "sum", "v2vnet" or "disconet".
         detector: "cp_env", "coperception:checkpoint=FILE", or "module:Class" of yours.
         precision: of the detector's maps, fusion and decoder: "float32", or the faster "bfloat16".
         n_vehicles: n, vehicles that share their maps.
         n_attackers: k, malicious vehicles among them.
-        rsu: with the road-side unit's map; one vehicle is enough then.
+        rsu: with the road-side unit's map as the last one; one vehicle is enough then.
         max_frames: frames of the episode, five a second.
         seed: of the episode and of the actions.
     """
@@ -196,6 +196,7 @@ def check(
     detector: str = "cp_env",
     precision: Precision = "float32",
     scenes: str = "town/test",
+    rsu: bool = False,
     max_frames: int = 4,
     steps: int = 6,
     seed: int = 0,
@@ -204,12 +205,13 @@ def check(
 
     Args:
         defender: the ego's defence, a name of `defenders.names()` with options if need be.
-        action: "guided", "stealth", "basis" or "full".
+        action: "guided", "stealth", "critical", "basis" or "full".
         observation: "features" or "compact".
         fusion: "mean", "max", "sum", "v2vnet" or "disconet".
         detector: "cp_env", "coperception:checkpoint=FILE", or "module:Class" of yours.
         precision: of the detector's maps, fusion and decoder: "float32", or the faster "bfloat16".
         scenes: a name such as "town/test", or kind:path?option=value&option=value (docs/scenes.md).
+        rsu: with the road-side unit's map as the last one; one vehicle is enough then.
         max_frames: frames of an episode.
         steps: calls a rule plays; more than an episode is better.
         seed: of the episodes and of the actions.
@@ -228,6 +230,7 @@ def check(
             detector=detector,
             precision=precision,
             scenes=scenes,
+            rsu=rsu,
             max_frames=max_frames,
             render_mode="rgb_array",
         ),

@@ -62,7 +62,6 @@ class Args(CommonOptions):
     screen: str | None = None  # scenes on which each defender's worst attack is picked, such as town/calibration
     screen_scenes: int | None = None  # so many of them, spread evenly (all by default)
     norm: Norm = "linf"  # of Δ
-    rsu: bool = False  # with the road-side unit's map
     grace_frames: int = 1  # benign frames at the start; with 0 the very first may be poisoned
     workers: int = os.cpu_count() or 1  # processes
     ray: tuple[str, ...] | None = None  # on a Ray cluster instead of `workers`; its address, or none for the one here
@@ -134,7 +133,6 @@ def plan(args: Args) -> list[Grid]:
     conditions = args.on_scenes(
         budget=args.budgets[0] if args.budgets else 0.0,
         norm=args.norm,
-        rsu=args.rsu,
         grace_frames=args.grace_frames,
     )
     axes = Axes(

@@ -23,6 +23,7 @@ class CommonOptions:
     n_scenes: int | None = None  # play so many of them, spread evenly (all by default)
     frames: int = 100  # an episode's, five a second
     vehicles: int = 5
+    rsu: bool = False  # with the road-side unit's map as the last one; one vehicle is enough then
     detector: str = "cp_env"  # or coperception:checkpoint=FILE, or module:Class of yours
     weights: str | None = None  # a file that `cp_env.detector.training.train` writes; else those that ship
     precision: Precision = "float32"  # of the detector's maps, fusion and decoder; bfloat16 is faster (docs/speed.md)

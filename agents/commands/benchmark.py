@@ -109,7 +109,8 @@ def program(args: Args, command: str) -> None:
     conditions, runs = plan(args)
     results = play(args, conditions, runs, console)
     paths = write(args, conditions, results, command)
-    size = f"{len(conditions.names)} scenes, {conditions.frames} frames, {conditions.n_vehicles} vehicles"
+    unit = " and the road-side unit" if conditions.rsu else ""
+    size = f"{len(conditions.names)} scenes, {conditions.frames} frames, {conditions.n_vehicles} vehicles{unit}"
     console.print(
         evaluation.screen(evaluation.summarise(results)),
         f"{size}; means (intervals are in the files)",

@@ -82,7 +82,7 @@ def test_play_films_an_episode(toy_town: None, tmp_path: Path, capsys: pytest.Ca
 
 
 def test_check_names_the_rules(toy_town: None, capsys: pytest.CaptureFixture[str]) -> None:
-    main(["check", "--defender", "ego_only", "--action", "basis", "--max-frames", "2", "--steps", "3"])
+    main(["check", "--defender", "ego_only", "--action", "basis", "--rsu", "--max-frames", "2", "--steps", "3"])
     told = " ".join(capsys.readouterr().out.split())
     assert "26 rules kept: spaces_are_fixed" in told and "rendering_changes_nothing" in told
 

@@ -52,6 +52,7 @@ class Args:
     weights: Path | None = None  # a file of our own detector's; by default the weights that ship
     fusion: str = "mean"  # of the weights that ship, or of a detector that leaves it open
     n_vehicles: int = 5
+    rsu: bool = False  # with the road-side unit's map as the last one; one vehicle is enough then
     frames: int = 100  # of each scene
     start: int = 0  # its first frame of those
     limit: int | None = None  # so many scenes only
@@ -100,11 +101,14 @@ def perceive_scenes(detector: DetectorLike, source: SceneSource, args: Args) -> 
             raise ValueError(
                 f"scene {name} holds {scene.n_connected} connected vehicles, not {args.n_vehicles}; ask for fewer"
             )
+        if args.rsu and scene.rsu is None:
+            raise ValueError(f"scene {name} has no road-side unit; leave --rsu out, or take other scenes")
         frames = range(args.start, min(args.start + args.frames, scene.n_frames))
         for start in range(0, len(frames), CHUNK):
             part = frames[start : start + CHUNK]
             for frame, sweeps in zip(part, source.sweeps(scene, part), strict=True):
-                yield perceive_frame(detector, scene, frame, sweeps[: args.n_vehicles])
+                unit = sweeps[scene.n_connected :] if args.rsu else []
+                yield perceive_frame(detector, scene, frame, [*sweeps[: args.n_vehicles], *unit])
 
 
 @torch.no_grad()
@@ -202,14 +206,15 @@ def calibrate(seen: Sequence[Seen]) -> float:
     return float(best)
 
 
-def table(result: Report) -> Table:
-    """The figures for the screen."""
+def table(result: Report, rsu: bool = False) -> Table:
+    """The figures for the screen; with `rsu` the last row fuses the road-side unit's map as well."""
     grid = Table(title=f"no attack, {result.n_frames} frames, {result.protocol} AP")
     grid.add_column("vehicles fused")
     grid.add_column("AP@0.5")
     grid.add_column("AP@0.7")
     for size, (ap50, ap70) in enumerate(zip(result.ap50, result.ap70, strict=True), start=1):
-        grid.add_row(str(size) if size > 1 else "1 (ego)", f"{ap50:.3f}", f"{ap70:.3f}")
+        fused = "1 (ego)" if size == 1 else f"{size - 1} and the RSU" if rsu and size == len(result.ap50) else str(size)
+        grid.add_row(fused, f"{ap50:.3f}", f"{ap70:.3f}")
     return grid
 
 
@@ -242,7 +247,7 @@ def main(args: Args) -> None:
         save_detector(trained, args.weights, **{**about(args.weights), "calibrated": args.scenes})
     result = report(seen, threshold, args.protocol)
     console = Console(width=120)
-    console.print(table(result))
+    console.print(table(result, args.rsu))
     console.print(remarks(result), highlight=False)
     if args.json is not None:
         args.json.write_text(json.dumps(asdict(result), indent=2) + "\n")

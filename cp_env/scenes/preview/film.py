@@ -1,14 +1,15 @@
 """Previews of any source: a GIF of what all sensors see from above, and figures of how often vehicles are seen.
 
 Convention: the GIF follows the ego; x points east (right), y north (up), as in `cp_env.types`; m. A box's line points
-to its front, so that points outside their box, a mirrored axis or a turned heading show at once; boxes that returns
-miss have a colour of their own.
+to its front, so that points outside their box, a mirrored axis or a turned heading show at once. Shapes differ as well
+as colours, as in all pictures: what no sensor sees is filled, and a box that its returns miss is crossed out.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -17,23 +18,33 @@ from PIL import Image, ImageDraw, ImageFont
 
 from cp_env.geometry.planar import corners
 from cp_env.lidar.returns import returns_of
+from cp_env.palette.colours import DARK, ORANGE, SKY, VERMILLION, Colour, rgb
+from cp_env.progress import Progress
 from cp_env.scenes.preview.box_fit import Fit, fit
 from cp_env.scenes.preview.classes import classes_of
 from cp_env.types import Scene, SceneSource, Sweep
 
-Colour = tuple[int, int, int]
 Image3 = UInt8[np.ndarray, "H W 3"]
 
 SEEN_AT = 3  # returns that make a vehicle count as seen
 SIDE, LEFT, TOP = 600, 46, 58  # pixels: edge and place of the map
 SIZE = (LEFT + SIDE + 16, TOP + SIDE + 84)
-GROUND, GRID, INK, FAINT = (13, 16, 22), (32, 38, 48), (230, 234, 240), (140, 149, 163)
-WALL, MET, UNMET, MISSED = (74, 82, 96), (58, 190, 98), (247, 221, 72), (255, 64, 160)
-AGENTS: tuple[Colour, ...] = (
-    (235, 235, 235), (86, 180, 233), (230, 159, 0), (204, 121, 167), (0, 190, 150),
-    (213, 94, 0), (120, 130, 255), (190, 220, 90), (160, 120, 90), (255, 150, 180),
-)  # fmt: skip
-UNIT: Colour = (255, 80, 80)
+GROUND, GRID, INK, FAINT = rgb(DARK.ground), rgb(DARK.grid), rgb(DARK.ink), rgb(DARK.faint)
+WALL, MET, UNMET, MISSED = rgb("#6C7684"), rgb(DARK.truth), rgb(DARK.missed), rgb(DARK.ghost)
+SPARE = "#9AA7FF", "#C9A27A", "#7FD3DE", "#B3B94A", "#B5838D", "#8FA3B8"
+AGENTS: tuple[Colour, ...] = tuple(map(rgb, (DARK.ego, SKY, ORANGE, VERMILLION, *SPARE)))
+"""Of the sensors' points and carriers. No hue of a box is among them; beyond a few, numbers tell them apart."""
+UNIT: Colour = rgb("#C8A2FF")
+
+
+@dataclass(frozen=True, eq=False)
+class Excerpt:
+    """Some frames of one scene with their sweeps: read once, for the figures and for the film."""
+
+    source: SceneSource
+    scene: Scene
+    frames: Sequence[int]
+    sweeps: Sequence[Sequence[Sweep]]  # [frame][agent]
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,31 +98,41 @@ class Figures:
         return np.where(np.isinf(least), np.nan, least)
 
 
-def figures(source: SceneSource, name: str, frames: Sequence[int]) -> Figures:
-    """Figures of one scene from the sweeps of some of its frames.
+def excerpt(source: SceneSource, name: str, frames: Sequence[int]) -> Excerpt:
+    """Some frames of a scene, with a bar or lines of progress while they are read.
 
     Raises:
         ValueError: no frames, unknown scene, or broken data.
     """
     if not len(frames):
-        raise ValueError("figures need at least one frame, got none")
-    scene = source.load(name)
-    films = source.sweeps(scene, frames)
-    classes, told = classes_of(source, scene)
+        raise ValueError("a preview needs at least one frame, got none")
+    scene, chosen = source.load(name), [int(t) for t in frames]
+    sweeps: list[Sequence[Sweep]] = []
+    with Progress(f"reading {name}", len(chosen), "frame") as progress:
+        for start in range(0, len(chosen), 8):
+            sweeps += source.sweeps(scene, chosen[start : start + 8])
+            progress.to(len(sweeps))
+    return Excerpt(source, scene, chosen, sweeps)
+
+
+def figures(part: Excerpt) -> Figures:
+    """What the sensors see in these frames."""
+    scene, frames, films = part.scene, np.asarray(part.frames), part.sweeps
+    classes, told = classes_of(part.source, scene)
     return Figures(
         scene=scene,
-        frames=np.asarray(frames),
+        frames=frames,
         points=np.array([[len(sweep.points) for sweep in sweeps] for sweeps in films]),
         reach=np.array([[_reach(sweep) for sweep in sweeps] for sweeps in films]),
         hits=np.array(
-            [[returns_of(scene, t, sweep) for sweep in sweeps] for t, sweeps in zip(frames, films, strict=True)]
+            [[returns_of(scene, t, sweep) for sweep in sweeps] for t, sweeps in zip(part.frames, films, strict=True)]
         ),
-        present=np.isfinite(scene.pose[np.asarray(frames), :, 0]).sum(axis=1),
+        present=np.isfinite(scene.pose[frames, :, 0]).sum(axis=1),
         classes=classes,
         told=told,
         fits=tuple(
-            tuple(fit(scene, int(t), agent, sweep) for agent, sweep in enumerate(sweeps))
-            for t, sweeps in zip(frames, films, strict=True)
+            tuple(fit(scene, t, agent, sweep) for agent, sweep in enumerate(sweeps))
+            for t, sweeps in zip(part.frames, films, strict=True)
         ),
     )
 
@@ -128,11 +149,9 @@ def draw(scene: Scene, frame: int, sweeps: Sequence[Sweep], *, extent: float = 4
     for sweep, colour in reversed(list(zip(sweeps, colours, strict=True))):  # the ego's points on top
         cells = _pixels(sweep.points[:, :2] + (sweep.origin[:2] - ego).astype(sweep.points.dtype), extent).astype(int)
         inside = ((cells >= 0) & (cells < SIDE)).all(axis=1)
-        for low, shade in ((True, 3), (False, 1)):
+        for low, shown in ((True, _dim(colour)), (False, colour)):
             column, row = cells[inside & ((sweep.points[:, 2] < 0.3) == low)].T
-            canvas[TOP + row, LEFT + column] = [
-                (g * (shade - 1) + c) // shade for g, c in zip(GROUND, colour, strict=True)
-            ]
+            canvas[TOP + row, LEFT + column] = shown
     image = Image.fromarray(canvas)
     panel = image.crop((LEFT, TOP, LEFT + SIDE, TOP + SIDE))  # what is drawn on it ends at its edges
     pen = ImageDraw.Draw(panel)
@@ -148,15 +167,13 @@ def draw(scene: Scene, frame: int, sweeps: Sequence[Sweep], *, extent: float = 4
     return np.asarray(image)
 
 
-def film(source: SceneSource, name: str, frames: Sequence[int], *, extent: float = 48.0) -> list[Image.Image]:
-    """Some frames of a scene as pictures in few colours, ready for a GIF."""
-    scene = source.load(name)
+def film(part: Excerpt, *, extent: float = 48.0) -> list[Image.Image]:
+    """The frames as pictures in few colours, ready for a GIF."""
     shots = [
-        Image.fromarray(draw(scene, int(t), sweeps, extent=extent))
-        for start in range(0, len(frames), 8)
-        for t, sweeps in zip(frames[start : start + 8], source.sweeps(scene, frames[start : start + 8]), strict=True)
+        Image.fromarray(draw(part.scene, t, sweeps, extent=extent))
+        for t, sweeps in zip(part.frames, part.sweeps, strict=True)
     ]
-    return [shot.quantize(96, dither=Image.Dither.NONE) for shot in shots]
+    return [shot.quantize(palette=_palette(), dither=Image.Dither.NONE) for shot in shots]
 
 
 def write_gif(shots: Sequence[Image.Image], out: Path, *, seconds: float) -> None:
@@ -228,14 +245,41 @@ def _vehicles(
         middle = _pixels(box[:2], extent)
         front = (np.array(outline[0]) + np.array(outline[3])) / 2
         edge = MISSED if missed[row] else colour
-        pen.polygon(outline, outline=edge, width=2, fill=GROUND if k is not None else None)
+        fill = GROUND if k is not None else _shade(UNMET) if edge == UNMET else None
+        _box(pen, outline, edge, fill, crossed=bool(missed[row]))
         pen.line([*middle.tolist(), *front.tolist()], fill=edge, width=2)
         if k is not None:
             spot = (float(middle[0]), float(middle[1]))
             pen.text(spot, str(k), colour, _font(15), anchor="mm", stroke_width=3, stroke_fill=GROUND)
     if scene.rsu is not None:
-        x, y = _pixels(scene.rsu[:2] - ego, extent).tolist()
-        pen.polygon([(x, y - 8), (x + 7, y + 5), (x - 7, y + 5)], outline=UNIT, fill=GROUND, width=2)
+        _unit(pen, *_pixels(scene.rsu[:2] - ego, extent).tolist())
+
+
+def _box(
+    pen: ImageDraw.ImageDraw, outline: list[tuple[float, float]], edge: Colour, fill: Colour | None, *, crossed: bool
+) -> None:
+    """One box: an outline, filled or not, crossed out or not."""
+    pen.polygon(outline, outline=edge, width=1 if edge == WALL else 2, fill=fill)
+    if crossed:
+        pen.line([outline[0], outline[2]], edge)
+        pen.line([outline[1], outline[3]], edge)
+
+
+def _unit(pen: ImageDraw.ImageDraw, x: float, y: float) -> None:
+    """The road-side unit's triangle."""
+    pen.polygon([(x, y - 8), (x + 7, y + 5), (x - 7, y + 5)], outline=UNIT, fill=GROUND, width=2)
+
+
+def _shade(colour: Colour) -> Colour:
+    """Half-way to the ground: of areas."""
+    red, green, blue = ((a + b) // 2 for a, b in zip(colour, GROUND, strict=True))
+    return red, green, blue
+
+
+def _dim(colour: Colour) -> Colour:
+    """A third of the way from the ground: of points on the road."""
+    red, green, blue = ((2 * g + c) // 3 for g, c in zip(GROUND, colour, strict=True))
+    return red, green, blue
 
 
 def _words(
@@ -258,14 +302,18 @@ def _words(
     pen.text((LEFT, 36), counts, FAINT, _font(12))
     x, y = LEFT, TOP + SIDE + 44
     for k, colour in enumerate(colours):
-        name = "RSU" if k == scene.n_connected else f"{k} ego" if k == 0 else str(k)
-        pen.rectangle((x, y - 5, x + 10, y + 5), fill=colour)
+        name = "road-side unit" if k == scene.n_connected else "sensor 0, the ego" if k == 0 else str(k)
+        if k == scene.n_connected:
+            _unit(pen, x + 5, y)
+        else:
+            pen.rectangle((x, y - 5, x + 10, y + 5), fill=colour)
         pen.text((x + 15, y), name, FAINT, _font(12), anchor="lm")
         x += 29 + round(pen.textlength(name, _font(12)))
     x, y = LEFT, TOP + SIDE + 66
     kinds = (("seen", MET), ("seen by no sensor", UNMET), ("returns miss its box", MISSED), ("wall or building", WALL))
     for name, colour in kinds:
-        pen.rectangle((x, y - 5, x + 18, y + 5), outline=colour, width=2)
+        outline = [(x + 18.0, y - 5.0), (x + 18.0, y + 5.0), (x + 0.0, y + 5.0), (x + 0.0, y - 5.0)]
+        _box(pen, outline, colour, _shade(UNMET) if colour == UNMET else None, crossed=colour == MISSED)
         pen.text((x + 25, y), name, FAINT, _font(12), anchor="lm")
         x += 45 + round(pen.textlength(name, _font(12)))
 
@@ -283,6 +331,21 @@ def _background(extent: float) -> Image.Image:
     pen.text(
         (LEFT + SIDE / 2, TOP + SIDE + 19), "x, east of the ego (m);  up: y, north (m)", FAINT, _font(11), anchor="mt"
     )
+    return image
+
+
+@lru_cache(maxsize=1)
+def _palette() -> Image.Image:
+    """Every colour that is drawn, and steps from the ground to each for the soft edges of text and for dim points."""
+    bright = (INK, FAINT, WALL, MET, UNMET, MISSED, UNIT, *AGENTS)
+    steps = [
+        tuple(round(g + (c - g) * share) for g, c in zip(GROUND, colour, strict=True))
+        for colour in bright
+        for share in (1 / 4, 1 / 3, 1 / 2, 3 / 4)
+    ]
+    colours = dict.fromkeys([GROUND, GRID, *bright, *map(_shade, bright), *map(_dim, bright), *steps])
+    image = Image.new("P", (1, 1))
+    image.putpalette([value for colour in colours for value in colour])
     return image
 
 

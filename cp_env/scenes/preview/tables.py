@@ -50,8 +50,8 @@ def _scene(figures: Figures) -> Table:
     )
     never = int((figures.seen[there] == 0).sum())
     table.add_row("seen", f"a vehicle counts as seen with {SEEN_AT} returns from it; {never} never are")
-    by = [f"{share:.0%} by {n} or more" for n, share in enumerate(figures.redundancy[:4], start=1)]
-    table.add_row("redundancy", f"of the vehicles in a frame agents see {', '.join(by)}")
+    by = [f"{share:.0%} {n} or more" for n, share in enumerate(figures.redundancy[:4], start=1)]
+    table.add_row("redundancy", f"share of the vehicles in a frame that sensors see: {', '.join(by)}")
     good, met = share_inside([one for sweeps in figures.fits for one in sweeps])
     table.add_row("returns", f"most lie in their box for {good} of {met} vehicles met" if met else "no vehicle is met")
     return table
@@ -89,7 +89,7 @@ def _misses(figures: Figures, rows: int) -> Table:
 
 
 def _agents(figures: Figures) -> Table:
-    table = _table("agents", "agent", "points", "fewest", "most", "range m", "sees")
+    table = _table("agents", "agent", "points", "fewest", "most", "range m", "vehicles seen")
     sees = (figures.hits >= SEEN_AT).sum(axis=2)
     for k in range(figures.points.shape[1]):
         points = figures.points[:, k]

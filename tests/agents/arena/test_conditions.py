@@ -16,6 +16,11 @@ def test_scenes_are_spread_evenly() -> None:
         spread("abc", 4)
 
 
+def test_the_road_side_unit_is_one_option_of_all() -> None:
+    assert not CommonOptions().on_scenes().rsu
+    assert CommonOptions(rsu=True).on_scenes().settings(1).n_maps == 6
+
+
 def test_a_key_is_read_from_its_file_and_a_short_one_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "key.txt"
     path.write_text("k" * 40 + "\n")

@@ -23,6 +23,13 @@ def test_the_program_says_its_plan_and_goes_on(tmp_path: Path, capsys: pytest.Ca
     assert "(4 of them stored)" in capsys.readouterr().err and (tmp_path / "episode.gif").exists()
 
 
+def test_the_road_side_unit_shares_its_map(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--rsu", "--vehicles", "2", "--ks", "1", "--defenders", "none", "--attacks", "noise", "--no-gif"]
+    main([*TOY, *words, "--out", str(tmp_path)])
+    assert "2 vehicles and the road-side unit" in capsys.readouterr().out
+    assert json.loads((tmp_path / "results.json").read_text())["about"]["conditions"]["rsu"] is True
+
+
 def test_the_small_cut() -> None:
     conditions, runs = plan(Args(small=True).cut())
     assert len(conditions.names) == 3 and conditions.frames == 30 and {run.k for run in runs} == {0, 2}

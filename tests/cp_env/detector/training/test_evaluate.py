@@ -12,7 +12,17 @@ import pytest
 from cp_env.detector import Detector
 from cp_env.detector.model.weights import FOLDER, about, read_detector, save_detector
 from cp_env.detector.training import evaluate
-from cp_env.detector.training.evaluate import GRID, Args, Report, Seen, calibrate, jaccard, perceive_scenes, report
+from cp_env.detector.training.evaluate import (
+    GRID,
+    Args,
+    Report,
+    Seen,
+    calibrate,
+    jaccard,
+    perceive_scenes,
+    report,
+    table,
+)
 from cp_env.types import Detections
 from tests.helpers.toy_scenes import ToySource
 
@@ -53,6 +63,18 @@ def test_every_frame_is_perceived() -> None:
     assert all(0 < frame.n_visible <= len(frame.truth) for frame in frames)
     with pytest.raises(ValueError, match="toy-0 holds 5 connected vehicles, not 6"):
         next(perceive_scenes(Detector(), ToySource(n_frames=1), Args(n_vehicles=6)))
+
+
+def test_the_road_side_unit_is_fused_last() -> None:
+    args = Args(n_vehicles=2, rsu=True, frames=1, limit=1)
+    with_unit = list(perceive_scenes(Detector().freeze(), ToySource(n_frames=1), args))
+    assert len(with_unit[0].detections) == 3
+    alone = next(perceive_scenes(Detector().freeze(), ToySource(n_frames=1), replace(args, rsu=False)))
+    assert with_unit[0].n_visible > alone.n_visible, "it sees what the two do not"
+    rows = table(report(with_unit, threshold=0.5), rsu=True).columns[0]
+    assert list(rows.cells) == ["1 (ego)", "2", "2 and the RSU"]
+    with pytest.raises(ValueError, match="toy-0 has no road-side unit; leave --rsu out"):
+        next(perceive_scenes(Detector(), ToySource(n_frames=1, rsu=False), args))
 
 
 def test_command_calibrates_and_writes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -73,8 +73,21 @@ def test_the_picture_shows_east_on_the_right_and_north_on_top() -> None:
     assert at(image, -20, -9, 50) == film.MET, "its line points to its front, to the north"
     assert at(image, 5.0, 31, 50) == film.WALL
     assert at(image, 12, -7, 50) == film.GROUND
+    assert at(image, -20.5, -10.5, 50) == film.GROUND, "what is seen is not filled"
     unseen = film.draw(SCENE, 0, [sweeps[0]] * 2, extent=50)
     assert at(unseen, -20, -9, 50) == film.UNMET
+    filled = at(unseen, -20.5, -10.5, 50)
+    assert film.GROUND < filled < film.UNMET, "what no sensor sees is"
+
+
+def test_a_gif_keeps_the_colours() -> None:
+    part = film.excerpt(Three(), "three", [0])
+    drawn = film.draw(SCENE, 0, part.sweeps[0])
+    (kept,) = film.film(part)
+    told = np.asarray(kept.convert("RGB"))
+    for colour in (film.GROUND, film.MET, film.UNMET, film.MISSED, film.WALL, *film.AGENTS[:2]):
+        where = (drawn == colour).all(axis=-1)
+        assert where.any() and (told[where] == colour).all(), colour
 
 
 def test_a_box_that_returns_miss_has_a_colour_of_its_own() -> None:
@@ -85,6 +98,7 @@ def test_a_box_that_returns_miss_has_a_colour_of_its_own() -> None:
         SCENE, 0, [replace(sweeps[0], points=np.float32([*sweeps[0].points, *outside])), sweeps[1]], extent=50
     )
     assert at(image, 18.5, 11.0 - 0.05, 50) == film.MISSED
+    assert at(image, 21.0, 10.5, 50) == film.MISSED, "crossed out: shapes differ as well as colours"
     assert at(image, -20 - 1.0 + 0.05, -10.5, 50) == film.MET
 
 
@@ -100,7 +114,7 @@ def test_the_command_tells_classes_rate_speeds_redundancy_and_misses(
         "classes 13 vehicle.car, 1 vehicle.truck",
         "5 frames a second",
         "speeds median 3.0 m/s, 95 % below 5.0, fastest 5.0; 43% stand; the ego's median 5.0",
-        "redundancy of the vehicles in a frame agents see 1",
+        "redundancy share of the vehicles in a frame that sensors see: ",
         "returns most lie in their box for",
     ):
         assert part in told, part
