@@ -46,6 +46,7 @@ class Files:
 def find(path: Path) -> Files:
     """The files that a `.sumocfg` or a `.net.xml` stands for; all but the configuration may be packed (`.gz`).
 
+    Old configurations have a root of any name, such as `<c>`: SUMO reads them, so their `net-file` is what counts.
     Polygons are the configuration's additional file called `*.poly.xml`, or `NAME.poly.xml` next to `NAME.net.xml`.
 
     Raises:
@@ -56,7 +57,7 @@ def find(path: Path) -> Files:
         candidates = [path.with_name(f"{path.name.split('.')[0]}.poly.xml{packed}") for packed in ("", ".gz")]
         polygons = next((file for file in candidates if file.exists()), None)
         return Files(None, path, polygons, (path, *filter(None, [polygons])))
-    if root.tag not in ("configuration", "sumoConfiguration"):
+    if root.tag not in ("configuration", "sumoConfiguration") and root.find(".//net-file") is None:
         raise BrokenData(path, f"is neither a network nor a configuration of SUMO but a <{root.tag}>")
     if path.suffix == ".gz":
         raise BrokenData(path, "is a packed configuration, which SUMO does not read: unpack it with gunzip")

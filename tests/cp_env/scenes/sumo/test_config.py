@@ -76,6 +76,16 @@ def test_a_configuration_names_its_files_and_missing_ones_are_told(tmp_path: Pat
         config.buildings(tmp_path / "a.poly.xml")
 
 
+def test_an_old_configuration_has_a_root_of_any_name(tmp_path: Path) -> None:
+    (tmp_path / "a.net.xml").write_text(NET)
+    file = tmp_path / "run.sumo.cfg"
+    file.write_text('<c><net-file value="a.net.xml"/></c>')
+    assert config.find(file).net == tmp_path / "a.net.xml"
+    file.write_text("<c/>")
+    with pytest.raises(BrokenData, match="neither a network nor a configuration of SUMO but a <c>"):
+        config.find(file)
+
+
 def test_the_period_of_a_configuration(tmp_path: Path) -> None:
     (tmp_path / "a.net.xml").write_text(NET)
     file = tmp_path / "a.sumocfg"
