@@ -45,11 +45,15 @@ for (const e of document.querySelectorAll('article table, article pre, article p
   const broken = e.clientWidth && e.scrollWidth > e.clientWidth + 1;
   if (e.tagName !== 'TABLE' && broken) found.push(name(e) + ' is ' + e.scrollWidth);
 }
+for (const e of document.querySelectorAll('nav a, header a')) {
+  if (!e.getClientRects().length || e.closest('.md-sidebar--primary') && wide < 1220) continue;  // a drawer slides in
+  if (e.getBoundingClientRect().right > wide + 1) found.push(name(e) + ' is out of the window');
+}
 return [wide, found];
 """
 """What is cut: an element that reaches beyond the window and cannot be scrolled to, and any line of code not whole.
 
-A table of many columns may scroll in its own box.
+A table of many columns may scroll in its own box. A bar of links may not: nothing shows that it scrolls.
 """
 
 
@@ -87,9 +91,9 @@ def cut(window: Browser, page: Path, width: int) -> list[str]:
 
 @pytest.mark.parametrize("width", WIDTHS)
 def test_nothing_is_cut(site: Path, window: Browser, width: int) -> None:
-    pages = [page for page in sorted(site.rglob("index.html")) if "source" not in page.relative_to(site).parts]
+    pages = [page for page in sorted(site.rglob("*.html")) if "source" not in page.relative_to(site).parts]
     assert len(pages) > 30
-    found: dict[str, Any] = {str(page.relative_to(site).parent): cut(window, page, width) for page in pages}
+    found: dict[str, Any] = {str(page.relative_to(site)): cut(window, page, width) for page in pages}
     assert not {page: cuts for page, cuts in found.items() if cuts}
 
 
@@ -99,6 +103,7 @@ def test_nothing_is_cut(site: Path, window: Browser, width: int) -> None:
         ("<pre style='overflow:hidden'><code>" + "long " * 200 + "</code></pre>", "pre: long"),
         ("<table><tr>" + "<td>wide_______________</td>" * 40 + "</tr></table>", "table: wide"),
         ("<div style='width:3000px'>w</div>", "the page is"),
+        ("<nav style='overflow:hidden; white-space:nowrap'>" + "<a href='#'>long</a> " * 40 + "</nav>", "a: long"),
     ],
 )
 def test_what_is_cut_is_seen(window: Browser, tmp_path: Path, body: str, complaint: str) -> None:
@@ -111,8 +116,11 @@ def test_what_is_cut_is_seen(window: Browser, tmp_path: Path, body: str, complai
 
 
 def test_a_page_leads_on_and_says_the_version(site: Path, window: Browser) -> None:
-    window.open(site / "faq/index.html")
+    window.emulate(WIDTHS[0], 900)
+    window.open(site / "faq.html")
     links = window.run("return [...document.querySelectorAll('.md-footer__link')].map(link => link.textContent.trim())")
     assert [link.split()[0] for link in links] == ["Previous", "Next"]
     version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
     assert f"cp-env {version}" in window.run("return document.querySelector('footer').textContent")
+    window.click(".md-footer__link--next")
+    assert window.run("return document.querySelector('h1').textContent").startswith("Known limits")
