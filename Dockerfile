@@ -4,6 +4,7 @@
 FROM python:3.11-slim
 RUN apt-get update && apt-get install --yes --no-install-recommends make && rm -rf /var/lib/apt/lists/*
 WORKDIR /cp-env
+ENV PIP_NO_CACHE_DIR=1
 # What is installed changes seldom: these layers are kept when the code changes.
 COPY Makefile constraints.txt pyproject.toml PACKAGE.md LICENSE ./
 COPY cp_env cp_env
