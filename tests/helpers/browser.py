@@ -11,6 +11,7 @@ import shutil
 import subprocess
 import time
 import urllib.error
+import urllib.parse
 import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -30,6 +31,8 @@ FLAGS = (
     "--disable-sync",
     "--disable-dev-shm-usage",
 )
+LOADED = 60.0
+"""Seconds that a page may take to be shown."""
 ELEMENT = "element-6066-11e4-a52e-4f735466cecf"  # the key the protocol gives an element's name by
 
 
@@ -40,7 +43,19 @@ class Browser:
         self._session = session
 
     def open(self, file: Path) -> None:
-        _send(f"{self._session}/url", {"url": file.resolve().as_uri()})
+        """Open a page, and wait until it is the one that is shown: on a busy machine the driver may answer before."""
+        url = file.resolve().as_uri()
+        _send(f"{self._session}/url", {"url": url})
+        end = time.monotonic() + LOADED
+        while not self._shows(url):
+            if time.monotonic() > end:
+                raise TimeoutError(f"{url} was not shown within {LOADED:.0f} seconds")
+            time.sleep(0.05)
+
+    def _shows(self, url: str) -> bool:
+        """Whether that page is there as a whole."""
+        shown, state = self.run("return [document.URL, document.readyState]")
+        return state == "complete" and urllib.parse.unquote(shown.split("#")[0]) == urllib.parse.unquote(url)
 
     def run(self, script: str, *args: Any) -> Any:
         """What a JavaScript function's body returns."""
