@@ -27,7 +27,7 @@ from tests.campaign.values import STRANGE
         ({"budget": float("nan")}, r"finite"),
         ({"max_frames": 0}, r"max_frames"),
         ({"grace_frames": -1}, r"grace_frames"),
-        ({"action": "raw"}, r"action must be one of guided, stealth, basis, full, not 'raw'"),
+        ({"action": "raw"}, r"action must be one of guided, stealth, critical, basis, full, not 'raw'"),
         ({"fusion": "sum?"}, r"fusion must be one of .*, not 'sum\?'"),
         ({"observation": "x"}, r"observation must be one of features, compact"),
         ({"knowledge": "x"}, r"black-box, gray-box, white-box"),

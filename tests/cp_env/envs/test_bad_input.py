@@ -26,7 +26,7 @@ Make = Callable[..., CollaborativePerceptionEnv]
     [
         ({"defender": "robosac!"}, "unknown defender 'robosac!'.*prbi"),
         ({"fusion": "median"}, "fusion must be one of mean.*not 'median'"),
-        ({"action": "raw"}, "action must be one of guided, stealth, basis, full, not 'raw'"),
+        ({"action": "raw"}, "action must be one of guided, stealth, critical, basis, full, not 'raw'"),
         ({"observation": "pixels"}, "observation must be one of features, compact.*not 'pixels'"),
         ({"knowledge": "grey"}, "knowledge must be one of black-box, gray-box, white-box.*not 'grey'"),
         ({"reward": "fame"}, "reward must be one of damage, ap_drop, stealth.*not 'fame'"),
