@@ -122,7 +122,7 @@ class Guided(ActionMap):
             worlds, few = busy[rows], slice(int(rows[0]), int(rows[-1]) + 1)
             clean = type(situation.clean)(situation.clean.logits[worlds], situation.clean.boxes[worlds])
             damage = distance_from(clean, hide=1 - spoof[few], spoof=spoof[few], drift=drift[few], where=where[few])
-            if consecutive(worlds):  # as where all attack: nothing is copied
+            if _consecutive(worlds):  # as where all attack: nothing is copied
                 self._climb(delta[int(worlds[0]) : int(worlds[-1]) + 1], radius[worlds], worlds, damage, situation)
             else:
                 mine = delta[worlds]
@@ -177,7 +177,7 @@ def _parts(delta: Float[Tensor, "B k C H W"], *numbers: Float[Tensor, "B k"]) ->
         yield slice(None), *(one[..., None, None, None] for one in numbers)
 
 
-def consecutive(rows: Int[Tensor, " B"]) -> bool:
+def _consecutive(rows: Int[Tensor, " B"]) -> bool:
     """Whether rows, ascending, follow one another."""
     return int(rows[-1] - rows[0]) + 1 == len(rows)
 

@@ -127,14 +127,17 @@ def test_one_fetch_for_all_maps_is_the_copy_of_each() -> None:
 
 
 @pytest.mark.parametrize("precision", [torch.float32, torch.bfloat16])
-def test_weighted_perturbations_are_warped_weighted_and_summed_and_so_is_their_gradient(precision: torch.dtype) -> None:
+@pytest.mark.parametrize("worlds", [[1, 0, 1], [1, 0], [1]], ids=["one twice", "each once", "one left out"])
+def test_weighted_perturbations_are_warped_weighted_and_summed_and_so_is_their_gradient(
+    precision: torch.dtype, worlds: list[int]
+) -> None:
     """Beside the plain formula: fused + Σ_j share_j · warp(δ_j), differentiated by torch itself."""
-    generator = torch.Generator().manual_seed(0)
-    world, delta = torch.tensor([1, 0, 1]), torch.randn(2, 2, 4, 32, 32, generator=generator).requires_grad_()
+    generator, n = torch.Generator().manual_seed(0), len(worlds)
+    world, delta = torch.tensor(worlds), torch.randn(2, 2, 4, 32, 32, generator=generator).requires_grad_()
     pose = torch.tensor([[[0.0, 0, 0], [4, -6, 0]], [[-30, 8, 0], [62, 0, 0]]])
-    share = torch.rand(3, 2, 1, 32, 32, generator=generator)
-    fused = torch.randn(3, 4, 32, 32, generator=generator).to(precision)
-    weight = torch.randn(3, 4, 32, 32, generator=generator)
+    share = torch.rand(n, 2, 1, 32, 32, generator=generator)
+    fused = torch.randn(n, 4, 32, 32, generator=generator).to(precision)
+    weight = torch.randn(n, 4, 32, 32, generator=generator)
     plain = fused + (warp(delta, pose, 32.0)[world] * share).sum(1)
     expected = torch.autograd.grad((plain * weight).sum(), delta)[0]
     moves = moving.weighted_moves(share, world, pose, 32.0)
