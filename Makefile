@@ -15,8 +15,8 @@ TOUCHING := tests/defenders tests/agents tests/cp_env
 LIBRARIES := benchmarl rllib supersuit torchrl
 ALONE = .venv-$*/bin/python -m pip install --disable-pip-version-check --quiet --retries 1
 LEADERBOARD ?= --defenders none ego_only prbi prbi:threshold=calibrated robosac pasac:score=similarity bayes bayes:max_verifications=8 oracle \
-	--attacks none pgd noise policy:name=prbi-stealth-action in_loop:steps=6 ramp:steps=6 nearest_removal phantom_ahead \
-	--ks 2 1 4 --budgets 0.3 0.1 --off-baseline-attacks pgd --off-baseline-scenes 9 --n-scenes 21 --frames 40 --batch 7 \
+	--attacks none pgd noise policy:name=prbi-stealth-action in_loop:steps=6 ramp:steps=6 nearest_removal critical_removal phantom_ahead \
+	--seeds 0 1 --ks 2 1 4 --budgets 0.3 0.1 --off-baseline-attacks pgd --off-baseline-scenes 9 --n-scenes 21 --frames 40 --batch 7 \
 	--screen town/calibration --screen-scenes 6 --precision bfloat16
 export OMP_NUM_THREADS ?= 1
 
@@ -88,7 +88,7 @@ $(LIBRARIES:%=library-%): library-%: tests/external/%.txt ## one of these librar
 ray: $(READY) ## Ray, about 260 MB, to run the arena on a cluster: its tests are skipped without it
 	$(PIP) install --quiet -c constraints.txt -e '.[ray]'
 
-leaderboard: $(READY) ## run the arena on all test scenes and write docs/leaderboard.md; an hour and a half of one core
+leaderboard: $(READY) ## run the arena on all test scenes and write docs/leaderboard.md; about three hours of one core
 	$(BIN)/cp-arena $(LEADERBOARD) --workers $(WORKERS) --out out/leaderboard --page docs/leaderboard.md
 
 sumo: $(READY) ## the traffic simulator, about 260 MB: its tests are skipped without it

@@ -1,6 +1,6 @@
-"""Attacks on what the ego follows: the nearest vehicle removed, or a car shown that drives ahead.
+"""Attacks on what the ego follows: vehicles ahead removed, or a car shown that drives there.
 
-Both change little of the view, so that most measures of harm hardly notice them, and nearly all of what the ego's
+They change little of the view, so that most measures of harm hardly notice them, and nearly all of what the ego's
 driving depends on (see `cp_env.metrics`). Removal of one object and spoofing of another are the two classic aims of
 attacks on collaborative perception (Zhang et al., "On Data Fabrication in Collaborative Vehicular Perception", USENIX
 Security 2024); to aim at the ego's lane is our choice.
@@ -19,6 +19,7 @@ from torch import Tensor
 from agents.attacks.gradient import GradientAttack
 from agents.attacks.objectives.targeted import Plant, Remove
 from agents.attacks.pgd import ProjectedGradient
+from agents.attacks.random_action import RandomActions
 from agents.protocol import Attack
 from cp_env.geometry.planar import grid_origin
 from cp_env.metrics.corridor import Corridor
@@ -122,6 +123,22 @@ def nearest_removal(
         target_groups=target_groups,
         joint=joint,
     )
+
+
+def critical_removal() -> Attack:
+    """Hide all that is ahead of the ego, and hold back while the view would be too unlike the last output.
+
+    The middle of the action map `critical`: what a policy does there before it learns. No single vehicle is aimed at,
+    so it hides what crosses the ego's way as well as what it follows, and disturbs more of the view than
+    `nearest_removal`.
+
+    Threat model: white-box on the detector. Of the defence the attackers know that it compares views with the last
+    output, and whom it is expected to fuse; half of what was seen is kept.
+
+    Returns:
+        The attack.
+    """
+    return RandomActions("critical", reach=0.0)
 
 
 def phantom_ahead(

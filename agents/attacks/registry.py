@@ -72,6 +72,7 @@ ATTACKS: Registry[Attack] = Registry(
         "blind": "agents.attacks.adaptive.blind_area:blind",
         "sacrifice": "agents.attacks.adaptive.sacrifice:sacrifice",
         "nearest_removal": "agents.attacks.leader:nearest_removal",
+        "critical_removal": "agents.attacks.leader:critical_removal",
         "phantom_ahead": "agents.attacks.leader:phantom_ahead",
     },
     Attack,

@@ -52,7 +52,7 @@ def learn(args: Args) -> list[TrainingRun]:
     for scenes, n_scenes in ((recipe.scenes, recipe.n_scenes), (recipe.holdout, recipe.n_holdout)):
         bank = open_bank(scenes, n_scenes, recipe.victim, recipe.fusion)  # encoded here once, not by every worker
         for name in track(bank.source.names(), f"encoding {scenes}", unit="scene"):
-            bank.episode(name, recipe.n_vehicles, rsu=False).encode()
+            bank.episode(name, recipe.n_vehicles, rsu=recipe.rsu).encode()
     with Progress("learning", total, "frame") as progress:
         for frames in sweep(runs, args.workers):
             progress.to(frames)

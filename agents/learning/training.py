@@ -55,6 +55,8 @@ class Recipe:
     worlds: int = 8
     """worlds stepped together"""
     n_vehicles: int = 5
+    rsu: bool = False
+    """with the road-side unit's map as the last one; one vehicle is enough then"""
     n_attackers: int = 2
     max_frames: int = 50
     """length of an episode"""
@@ -221,6 +223,7 @@ def held_back_scenes(recipe: Recipe) -> tuple[SceneBank, Conditions]:
         names=bank.source.names(),
         frames=recipe.max_frames,
         n_vehicles=recipe.n_vehicles,
+        rsu=recipe.rsu,
         fusion=recipe.fusion,
     )
     return bank, conditions

@@ -12,6 +12,7 @@ import torch
 import agents
 from agents.attacks.leader import car_ahead, nearest_in_lane
 from cp_env.detector.model.decoder import Dense
+from cp_env.geometry.planar import grid_origin
 from cp_env.metrics.severity import near
 from cp_env.world.scene_cache import SceneBank
 from cp_env.world.situation import Situation
@@ -19,7 +20,7 @@ from cp_env.world.world import World
 from tests.helpers import situations
 
 MODEL = situations.detector()
-ROW, COLUMN = 16, 15  # the cell with centre (-1, 1) m
+MIDDLES = "random:action=critical,reach=0", "random:action=critical,reach=0.8"
 
 
 def cars(*boxes: tuple[float, float, float], heading: float) -> Situation:
@@ -82,6 +83,10 @@ def test_a_world_tells_its_egos_headings(street: SceneBank) -> None:
         ("phantom_ahead:gap=26", "at most 25"),
         ("phantom_ahead:keep=-1", "at least 0"),
         ("nearest_removal:keep=-1", "at least 0"),
+        ("random:reach=1.5", "0 to 1"),
+        ("random:reach=-0.1", "0 to 1"),
+        ("random:reach=nan", "0 to 1|finite"),
+        ("critical_removal:keep=1", "unknown option|no options"),
         ("nearest_removal:gap=3", "unknown option"),
     ],
 )
@@ -105,6 +110,32 @@ def test_it_hides_its_target_and_keeps_the_rest(street: SceneBank) -> None:
     hidden = [len(o.clean[e].seen.boxes) - len(o.output[e].seen.boxes) for o in outcomes for e in range(2)]
     assert np.mean(hidden) >= 0.9
     assert np.mean([o.damage for o in outcomes]) < 0.3 * np.mean([o.damage for o in loud])
+
+
+def test_it_hides_what_is_ahead(street: SceneBank) -> None:
+    """More than half of what is within its reach ahead of the ego, and less of what is behind."""
+    world = World(2, defender="none", bank=street, attackers=(1, 2), max_frames=4)
+    world.reset([0, 1], options=[{"scene": name} for name in street.source.names()[:2]])
+    attack = agents.make("critical_removal")
+    attack.reset(2, np.random.default_rng(0))
+    hidden: dict[bool, list[bool]] = {True: [], False: []}
+    for _ in range(4):
+        now = world.situation()
+        outcome = world.step(attack.act(now))
+        for e, place in enumerate(now.place - grid_origin(now.place)):
+            boxes, heading = outcome.clean[e].seen.boxes, now.heading[e]
+            along = (boxes[:, :2] - place) @ np.array([np.cos(heading), np.sin(heading)])
+            gone = ~near(boxes, outcome.output[e].seen.boxes).any(axis=1)
+            for ahead in (True, False):
+                hidden[ahead] += gone[((along > 2) & (along < 16)) if ahead else (along < -10)].tolist()
+    assert np.mean(hidden[True]) > 0.5 > np.mean(hidden[False])
+
+
+def test_it_is_the_middle_of_the_action_map(street: SceneBank) -> None:
+    """What `random` sends with a reach of 0, whatever its stream, and unlike what it sends with another."""
+    scripted, *others = (played(street, spec) for spec in ("critical_removal", *MIDDLES))
+    same = [[bool((a.damage == b.damage).all()) for a, b in zip(scripted, other, strict=True)] for other in others]
+    assert all(same[0]) and not any(same[1])
 
 
 def test_it_shows_a_car_ahead(street: SceneBank) -> None:
