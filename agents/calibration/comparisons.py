@@ -20,12 +20,11 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-import agents
-from agents.calibration.samples import Track, run
+from agents.calibration.episode import watch
+from agents.calibration.samples import Track
 from cp_env.metrics.similarity import view_similarity_many
 from cp_env.types import View
 from cp_env.world.scene_cache import SceneBank
-from cp_env.world.world import World
 from defenders.protocol import Defender, Frame, Informed, Inspection, Query, Verdict
 
 STEALTHY = ("in_loop:threshold=0.35,steps=6", "in_loop:threshold=0.6,steps=6", "ramp:rate=0.3,first=0.2,steps=6")
@@ -147,14 +146,18 @@ def folder_of(bank: SceneBank, episodes: Episodes, root: Path) -> Path:
 def play(bank: SceneBank, scene: str, attack: str, k: int, episodes: Episodes) -> Measurement:
     """One episode under the instrument."""
     entropy = [episodes.seed, zlib.crc32(scene.encode()), k, 0]
-    instrument = Instrument(episodes.ages, fuse_all=attack in episodes.stealthy)
-    world = World(1, defender=instrument, bank=bank, n_vehicles=episodes.n_vehicles, n_attackers=k)
     last = max(bank.source.load(scene).n_frames - episodes.frames, 0)
-    world.reset([np.random.SeedSequence(entropy)], options={"scene": scene, "start": min(episodes.start, last)})
-    playing = agents.make(attack)
-    playing.reset(1, [np.random.default_rng(entropy)])
-    run(world, playing, episodes.frames)
-    (found,) = world.defenders
-    assert isinstance(found, Instrument)
+    found = watch(
+        Instrument(episodes.ages, fuse_all=attack in episodes.stealthy),
+        bank,
+        scene,
+        attack,
+        episodes.frames,
+        entropy=entropy,
+        rng=np.random.default_rng(entropy),
+        start=min(episodes.start, last),
+        n_vehicles=episodes.n_vehicles,
+        n_attackers=k,
+    )
     similarity, full_view = (np.array(table, dtype=np.float32) for table in (found.measured, found.full_view))
     return Measurement(scene, attack, found.attackers, similarity, full_view)

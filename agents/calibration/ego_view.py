@@ -12,10 +12,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-import agents
-from agents.calibration.samples import Key, Samples, Track, best_threshold, no_samples, pooled, run
+from agents.calibration.episode import watch
+from agents.calibration.samples import Key, Samples, Track, best_threshold, no_samples, pooled
 from cp_env.world.scene_cache import SceneBank
-from cp_env.world.world import World
 from defenders.protocol import Defender, Frame, Informed, Inspection, Query, Verdict
 
 SCORES = ("agreement", "similarity")
@@ -57,21 +56,19 @@ def survey(
     for number, (name, k) in enumerate(track(jobs, "scores against the ego-only view")):
         rng = np.random.default_rng([seed, number])
         attackers = tuple(sorted((1 + rng.permutation(n_vehicles - 1)[:k]).tolist()))
-        world = World(
-            1,
-            defender=Instrument(),
-            bank=bank,
+        instrument = watch(
+            Instrument(),
+            bank,
+            name,
+            attack if k else "none",
+            frames,
+            entropy=[seed, number],
+            rng=rng.spawn(1)[0],
             n_vehicles=n_vehicles,
             attackers=attackers,
             grace_frames=0,
             max_frames=frames,  # so the first frame is drawn from the whole scene
         )
-        world.reset([np.random.SeedSequence([seed, number])], options={"scene": name})
-        playing = agents.make(attack if k else "none")
-        playing.reset(1, rng.spawn(1))
-        run(world, playing, frames)
-        (instrument,) = world.defenders
-        assert isinstance(instrument, Instrument)
         for key, scores in instrument.measured:
             for score, value in scores.items():
                 found[score][key][name].append(value)

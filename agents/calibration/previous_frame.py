@@ -10,10 +10,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-import agents
-from agents.calibration.samples import Key, Samples, Track, best_threshold, no_samples, run
+from agents.calibration.episode import watch
+from agents.calibration.samples import Key, Samples, Track, best_threshold, no_samples
 from cp_env.world.scene_cache import SceneBank
-from cp_env.world.world import World
 from defenders.protocol import Defender, Frame, Informed, Inspection, Query, Verdict
 
 GRID = np.arange(0.02, 0.99, 0.01)
@@ -67,21 +66,19 @@ def survey(
     found = no_samples()
     jobs = list(itertools.product(names, range(n_vehicles)))
     for number, (name, k) in enumerate(track(jobs, "similarity to the frame before")):
-        world = World(
-            1,
-            defender=Instrument(),
-            bank=bank,
+        instrument = watch(
+            Instrument(),
+            bank,
+            name,
+            attack if k else "none",
+            frames,
+            entropy=[seed, number],
+            rng=np.random.default_rng([seed, number]).spawn(1)[0],
             n_vehicles=n_vehicles,
             n_attackers=k,
             grace_frames=0,
             max_frames=frames,  # so the first frame is drawn from the whole scene
         )
-        world.reset([np.random.SeedSequence([seed, number])], options={"scene": name})
-        playing = agents.make(attack if k else "none")
-        playing.reset(1, np.random.default_rng([seed, number]).spawn(1))
-        run(world, playing, frames)
-        (instrument,) = world.defenders
-        assert isinstance(instrument, Instrument)
         for key, value in instrument.measured:
             found[key][name].append(value)
     return found

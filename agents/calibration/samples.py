@@ -14,9 +14,6 @@ from typing import TypeVar
 import numpy as np
 from jaxtyping import Float
 
-from agents.protocol import Attack
-from cp_env.world.world import World
-
 Key = tuple[int, int]
 """Size of the group, attackers in it."""
 
@@ -61,16 +58,3 @@ def best_threshold(samples: Samples, size: int, grid: Float[np.ndarray, " G"], *
     wrong = np.array([sum(errors(samples, size, float(e), strict=strict)) for e in grid])
     best = np.flatnonzero(np.isclose(wrong, wrong.min()))
     return round(float(grid[best].mean()), digits)
-
-
-def run(world: World, attack: Attack, frames: int) -> None:
-    """Play so many frames, fewer if the scene ends before.
-
-    Raises:
-        RuntimeError: an instrument broke a rule of the referee, which ends an episode without a measurement.
-    """
-    (episode, start), *_ = world.places
-    for _ in range(min(frames, episode.scene.n_frames - start)):
-        outcome = world.step(attack.act(world.situation()))
-        if any(outcome.errors):
-            raise RuntimeError(f"the instrument failed: {outcome.errors}")
