@@ -24,6 +24,7 @@ _ALONG = np.array([-2.0, 0.0, 2.0, 0.0])[:, None]
 _ACROSS = np.array([0.0, -2.0, 0.0, 2.0])[:, None]
 _TINY = 1e-150  # m; in place of zero where an edge does not advance along an axis
 _BLOCK = 512  # pairs computed together: their arrays stay in the processor's cache, which halves the time
+_NEAR_BLOCK = 1 << 15  # likewise: distances computed together
 _ROUNDING = 1e-14  # an IoU up to this is what rounding leaves of none
 _SMALLEST = float(np.finfo(np.float64).tiny)
 
@@ -44,7 +45,7 @@ def pairwise_iou(a: ArrayLike, b: ArrayLike) -> Float[np.ndarray, "A B"]:
     """IoU of every box of `a` [A, 5] with every box of `b` [B, 5]. Raises ValueError as `rotated_iou` does."""
     a, b = checked(a, ndim=2), checked(b, ndim=2)
     table = np.zeros((len(a), len(b)))
-    i, j = np.nonzero(_near(_disc(a), _disc(b)))
+    i, j = np.nonzero(_near(_disc(a)[None], _disc(b)[None])[0])
     table[i, j] = _iou(a[i], b[j])
     return table
 
@@ -186,11 +187,14 @@ def _disc(boxes: Float[np.ndarray, "L 5"]) -> Float[np.ndarray, "L 3"]:
     return disc
 
 
-def _near(a: Float[np.ndarray, "*v A 3"], b: Float[np.ndarray, "*v B 3"]) -> Bool[np.ndarray, "*v A B"]:
+def _near(a: Float[np.ndarray, "V A 3"], b: Float[np.ndarray, "V B 3"]) -> Bool[np.ndarray, "V A B"]:
     """Whether two discs meet; NaN meets nothing."""
-    distance = a[..., :, None, 0] - b[..., None, :, 0]
-    north = a[..., :, None, 1] - b[..., None, :, 1]
-    reach = a[..., :, None, 2] + b[..., None, :, 2]
+    views = max(_NEAR_BLOCK // max(a.shape[1] * b.shape[1], 1), 1)
+    if len(a) > views:
+        return np.concatenate([_near(a[k : k + views], b[k : k + views]) for k in range(0, len(a), views)])
+    distance = a[:, :, None, 0] - b[:, None, :, 0]
+    north = a[:, :, None, 1] - b[:, None, :, 1]
+    reach = a[:, :, None, 2] + b[:, None, :, 2]
     distance *= distance
     north *= north
     reach *= reach

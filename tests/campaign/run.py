@@ -11,6 +11,7 @@ tried again if its claim did not hold, or if the code has changed since. The exi
 from __future__ import annotations
 
 import shutil
+import signal
 import sys
 import tempfile
 from collections.abc import Sequence
@@ -95,6 +96,7 @@ def campaign(cases: Sequence[Case], ledger: Ledger, code: str, work: Path, conso
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the program. Returns its exit status."""
     args = tyro.cli(Args, args=argv, description=__doc__)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # so that what it started ends with it
     cases, console, code = planned(args), Console(), code_digest(ROOT)
     ledger = Ledger(args.out / "results.jsonl")
     if args.again:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import signal
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,6 +14,7 @@ from rich.console import Console
 from tests.campaign import run
 from tests.campaign.case import Case, Fault, Figures, Result, try_case
 from tests.campaign.ledger import Ledger, code_digest
+from tests.campaign.processes import alive, started
 from tests.campaign.report import BEGIN, END, tables, write_tables
 
 QUIET = Console(quiet=True)
@@ -61,6 +64,19 @@ def test_a_campaign_that_was_killed_goes_on(tmp_path: Path) -> None:
     assert seen == ["a", "b", "b"]
     assert {result.name for result in Ledger(file).results.values()} == {"a", "b"}
     assert [json.loads(line)["name"] for line in file.read_text().splitlines() if line.endswith("}")] == ["a", "b"]
+
+
+def test_a_campaign_that_is_terminated_takes_along_what_it_started(tmp_path: Path) -> None:
+    """What it started bears a mark of its own, so it is known as its child."""
+    words = ["-m", "tests.campaign.run", "--parts", "kills", "--kills", "1", "--out"]
+    with started([*words, str(tmp_path / "campaign")], tmp_path) as program:
+        begin, of = time.monotonic(), Path(f"/proc/{program.process.pid}/task/{program.process.pid}/children")
+        while not (children := [int(number) for number in of.read_text().split()]):
+            assert not program.ended() and time.monotonic() - begin < 300, program.said()
+            time.sleep(0.05)
+        program.process.terminate()
+        assert program.wait(60) == 128 + signal.SIGTERM, program.said()
+        assert not [number for number in children if alive(number)]
 
 
 def test_the_code_is_what_results_can_depend_on(tmp_path: Path) -> None:

@@ -28,6 +28,11 @@ def test_import_loads_no_torch(package: str) -> None:
     assert python(f"import sys, {package}; print('torch' in sys.modules)") == "False"
 
 
+def test_the_arenas_workers_draw_nothing() -> None:
+    """Every worker imports the program; pictures are drawn by its parent, at the end."""
+    assert python("import sys, agents.arena.cli; print('matplotlib' in sys.modules)") == "False"
+
+
 def test_importing_every_defender_loads_neither_torch_nor_the_world() -> None:
     code = """
 import importlib, pkgutil, sys, defenders

@@ -10,7 +10,7 @@ from typing import Any
 from cp_env.evaluation.analysis.measures import MEASURES, measure_of
 from cp_env.evaluation.analysis.results import ArenaResults
 from cp_env.evaluation.plan.files import write_atomically
-from cp_env.evaluation.report import html, plots
+from cp_env.evaluation.report import html
 from cp_env.evaluation.report.benchmark import ENDED, GLOSSARY, INTERVALS, ended_markdown
 from cp_env.evaluation.report.driving import DRIVING
 from cp_env.evaluation.report.tables import (
@@ -79,6 +79,8 @@ def ranking_words(results: ArenaResults) -> str:
 
 def draw_plots(results: ArenaResults) -> dict[str, str]:
     """SVG by name: "defenders", "attacks", "trade-off" and one for each curve."""
+    from cp_env.evaluation.report import plots  # matplotlib is slow to import, and workers never draw
+
     rows = results.rows_at[results.baseline.point]
     colours = style.defender_colours(list(dict.fromkeys(row.defender for row in rows)))
     worst = "worst attack of each scene" if results.screening is None else "screened attack"
