@@ -33,7 +33,8 @@ class Args:
     """folder for checkpoints, curves and the policy; runs/<defender>-<seed> if not given"""
 
     hyperparameters: Path | None = None
-    """a file with hyperparameters of PPO, as `cp-train tune` writes it; it takes the place of the defaults above"""
+    """of PPO, in place of the defaults above: a name of agents.learning.hyperparameters.tuned_names(), or a file .json
+    as `cp-train tune` writes it"""
 
     def settled(self) -> Recipe:
         """The recipe with the hyperparameters of the file.

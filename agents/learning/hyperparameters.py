@@ -36,6 +36,7 @@ BOUNDS: dict[str, tuple[float, float]] = {
 }
 """The smallest and the largest value of each."""
 
+FOLDER = Path(__file__).parent / "tuned"
 FORMAT = "cp_env ppo hyperparameters 1"
 FILE_BYTES = 1 << 16
 """A file of hyperparameters is at most so long."""
@@ -79,18 +80,29 @@ def write_hyperparameters(path: Path, values: Mapping[str, Any], about: Mapping[
     write_atomically(path, json.dumps(content, indent=1) + "\n")
 
 
+def tuned_names() -> tuple[str, ...]:
+    """Names of the hyperparameters that ship with the package: those that `cp-train tune` found."""
+    return tuple(sorted(path.stem for path in FOLDER.glob("*.json")))
+
+
 def read_hyperparameters(path: Path) -> dict[str, Any]:
     """The hyperparameters that a file holds.
 
     Args:
-        path: of a file that `cp-train tune` wrote, or one of yours with the keys "format" and "hyperparameters".
+        path: one of `tuned_names()`; or a file `….json` that `cp-train tune` wrote, or one of yours with the keys
+            "format" and "hyperparameters".
 
     Returns:
         Values by name: all of `PPO_OPTIONS`, or some.
 
     Raises:
-        ValueError: no such file, one of another format, or values that `check_hyperparameters` refuses.
+        ValueError: an unknown name, no such file, one of another format, or values that `check_hyperparameters`
+            refuses.
     """
+    if path.suffix != ".json":
+        if str(path) not in tuned_names():
+            raise unknown("hyperparameters", str(path), (*tuned_names(), "a file .json"))
+        path = FOLDER / f"{path}.json"
     try:
         content = parse_json(read_bytes(path, FILE_BYTES))
     except FileNotFoundError as error:

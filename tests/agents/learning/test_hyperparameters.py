@@ -7,14 +7,17 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from agents.learning.hyperparameters import (
     BOUNDS,
+    FOLDER,
     FORMAT,
     PPO_OPTIONS,
     check_hyperparameters,
     read_hyperparameters,
+    tuned_names,
     write_hyperparameters,
 )
 from agents.learning.training import Recipe
@@ -25,6 +28,23 @@ def test_what_is_written_comes_back(tmp_path: Path) -> None:
     write_hyperparameters(tmp_path / "found" / "h.json", values, {"trial": 3})
     assert read_hyperparameters(tmp_path / "found" / "h.json") == values
     assert json.loads((tmp_path / "found" / "h.json").read_text())["about"] == {"trial": 3}
+
+
+@pytest.mark.parametrize("name", tuned_names())
+def test_what_ships_was_tuned_against_what_its_name_says(name: str) -> None:
+    """All values are there, and the recipe that they were tuned for can still be made, and was not better off."""
+    assert read_hyperparameters(Path(name)).keys() == PPO_OPTIONS.keys()
+    about = json.loads((FOLDER / f"{name}.json").read_text())["about"]
+    recipe = Recipe(**about["recipe"])
+    assert name.startswith(recipe.defender) and name.endswith(f"{recipe.action}-action")
+    assert np.mean(about["damage_held_back"]) >= np.mean(about["damage_of_the_recipe"])
+    assert "calibration" in recipe.holdout and "train" in recipe.scenes
+
+
+def test_a_name_that_does_not_ship_is_refused_with_those_that_do() -> None:
+    assert tuned_names()
+    with pytest.raises(ValueError, match=f"unknown hyperparameters 'nobody'.*{tuned_names()[0]}.*a file .json"):
+        read_hyperparameters(Path("nobody"))
 
 
 def test_every_hyperparameter_has_bounds_and_a_place_in_the_recipe() -> None:
