@@ -88,7 +88,7 @@ $(LIBRARIES:%=library-%): library-%: tests/external/%.txt ## one of these librar
 ray: $(READY) ## Ray, about 260 MB, to run the arena on a cluster: its tests are skipped without it
 	$(PIP) install --quiet -c constraints.txt -e '.[ray]'
 
-leaderboard: $(READY) ## run the arena on all test scenes and write docs/leaderboard.md; about three hours of one core
+leaderboard: $(READY) ## run the arena on all test scenes and write docs/leaderboard.md; about four hours of one core
 	$(BIN)/cp-arena $(LEADERBOARD) --workers $(WORKERS) --out out/leaderboard --page docs/leaderboard.md
 
 sumo: $(READY) ## the traffic simulator, about 260 MB: its tests are skipped without it

@@ -139,7 +139,8 @@ class ApMeter:
 def resampled_ap(meters: Sequence[ApMeter], iou: float) -> Callable[[Int[np.ndarray, " R"]], float]:
     """A bootstrap's statistic: given row numbers of `meters` (scenes), AP of those pooled, repeats counted again.
 
-    Detections are sorted once, so that each resample costs a few cumulative sums. Meters of one protocol only.
+    Precision falls from one true positive to the next, so the curve's ceiling rests on the places of true positives
+    alone. What each meter adds at these is counted once; a resample weighs the counts. Meters of one protocol only.
     """
     of_nothing = max((meter.rules.of_nothing for meter in meters), default=Rules().of_nothing)
     parts = [meter.matched(iou) for meter in meters]
@@ -148,18 +149,23 @@ def resampled_ap(meters: Sequence[ApMeter], iou: float) -> Callable[[Int[np.ndar
     hits = np.concatenate([hit for _, hit in parts])[order] if parts else np.zeros(0, dtype=bool)
     owner = np.repeat(np.arange(len(parts)), [len(score) for score, _ in parts])[order]
     scores = scores[order]
-    last_of_equals = np.append(np.diff(scores) != 0, True)[: len(scores)]
+    ends = np.flatnonzero(np.append(np.diff(scores) != 0, True)[: len(scores)])  # of equal scores the last
+    ends = ends[np.diff(np.cumsum(hits)[ends], prepend=0) > 0]
+    found, right = np.empty((2, len(parts), len(ends)))  # by meter, down to each of these scores
+    for meter in range(len(parts)):
+        mine = owner == meter
+        found[meter], right[meter] = (
+            np.searchsorted(np.flatnonzero(rows), ends, side="right") for rows in (mine, mine & hits)
+        )
     n_truth = np.array([meter.n_truth for meter in meters], dtype=np.intp)
+    n_found = np.array([len(score) for score, _ in parts], dtype=np.intp)
 
     def statistic(rows: Int[np.ndarray, " R"]) -> float:
-        times = np.bincount(rows, minlength=len(n_truth))
-        weight = times[owner]
-        found = np.cumsum(weight)[last_of_equals]
-        right = np.cumsum(weight * hits)[last_of_equals]
+        times = np.bincount(rows, minlength=len(n_truth)).astype(np.float64)
         total = int(times @ n_truth)
         if total == 0:
-            return 0.0 if len(found) and found[-1] else of_nothing
-        return _area(right, found, total)
+            return 0.0 if times @ n_found else of_nothing
+        return _area(times @ right, times @ found, total)
 
     return statistic
 
@@ -180,7 +186,7 @@ def assign(overlap: Float[np.ndarray, "L M"], iou: float, second_choice: bool = 
     return taken
 
 
-def _area(right: Int[np.ndarray, " D"], found: Int[np.ndarray, " D"], n_truth: int) -> float:
+def _area(right: Float[np.ndarray, " T"], found: Float[np.ndarray, " T"], n_truth: int) -> float:
     """Area under the interpolated precision-recall curve, from cumulative counts at descending scores."""
     precision = right / np.maximum(found, 1)
     ceiling = np.maximum.accumulate(precision[::-1])[::-1]  # the best precision at this recall or a higher one
