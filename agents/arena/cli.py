@@ -105,7 +105,10 @@ def play(args: Args, command: str, console: Console) -> ArenaResults:
             bars.count("playing", evaluation.execute_all(jobs, workers), len(jobs), lambda job: run_label(job[0]))
         except evaluation.FailedRuns as error:
             failed = str(error)
-        results = collect_results(grids, args.out, failed=failed, rank_by=args.rank_by, screening=screening)
+        results = bars.during(
+            "tables",
+            lambda: collect_results(grids, args.out, failed=failed, rank_by=args.rank_by, screening=screening),
+        )
         if args.videos:
             bars.count(
                 "rendering",

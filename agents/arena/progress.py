@@ -14,6 +14,7 @@ from cp_env.evaluation.plan.grid import Job
 from cp_env.scenes import open_source
 
 T = TypeVar("T")
+R = TypeVar("R")
 
 
 class Bars(Progress):
@@ -43,6 +44,12 @@ class Bars(Progress):
         task = self.add_task(what, total=total, last="")
         for step in steps:
             self.update(task, advance=1, last=name(step))
+
+    def during(self, what: str, work: Callable[[], R]) -> R:
+        """Do a piece of work in one step, and say meanwhile that it goes on; returns what it returns."""
+        found: list[R] = []
+        self.count(what, (found.append(work()) for _ in range(1)), 1, lambda _: "", "step")
+        return found[0]
 
 
 def run_label(run: Run) -> str:

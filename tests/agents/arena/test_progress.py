@@ -29,6 +29,16 @@ def test_all_steps_are_taken(terminal: bool, capsys: pytest.CaptureFixture[str])
     assert (shown.getvalue() == "" and capsys.readouterr().err == "") != terminal, "three quick steps need no line"
 
 
+@pytest.mark.parametrize("terminal", [True, False])
+def test_a_piece_of_work_returns_what_it_made(terminal: bool) -> None:
+    shown = io.StringIO()
+    with Bars(Console(file=shown, force_terminal=terminal, width=120)) as bars:
+        assert bars.during("tables", lambda: [1, 2]) == [1, 2]
+        with pytest.raises(KeyError):
+            bars.during("tables", lambda: {}["none"])
+    assert ("tables" in shown.getvalue() and "1/1" in shown.getvalue()) == terminal
+
+
 def test_a_plan_says_what_is_left(capsys: pytest.CaptureFixture[str]) -> None:
     conditions = Conditions(ToySource(n_frames=3), ("toy-0", "toy-1"), frames=3)
     runs = [Run("none", "none", 0, seed, conditions.names) for seed in range(7)]
