@@ -58,8 +58,16 @@ MUTANTS = (
     Mutant(
         "ghosts-in-an-empty-street-are-perfect",
         AP,
-        "0.0 if len(found) and found[-1] else of_nothing",
+        "0.0 if times @ n_found else of_nothing",
         "of_nothing",
+        AP_TESTS,
+    ),
+    Mutant("all-detections-are-right", AP, "(mine, mine & hits)", "(mine, mine)", AP_TESTS),
+    Mutant(
+        "the-last-true-positive-is-left-out",
+        AP,
+        'ends, side="right")',
+        'ends, side="left")',
         AP_TESTS,
     ),
     Mutant("always-a-second-choice", AP, "(free if second_choice else overlap)", "free", AP_TESTS),
