@@ -48,7 +48,12 @@ class Bars(Progress):
     def during(self, what: str, work: Callable[[], R]) -> R:
         """Do a piece of work in one step, and say meanwhile that it goes on; returns what it returns."""
         found: list[R] = []
-        self.count(what, (found.append(work()) for _ in range(1)), 1, lambda _: "", "step")
+
+        def step() -> Iterator[None]:
+            found.append(work())
+            yield
+
+        self.count(what, step(), 1, lambda _: "", "step")
         return found[0]
 
 
