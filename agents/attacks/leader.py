@@ -1,9 +1,9 @@
 """Attacks on what the ego follows: vehicles ahead removed, or a car shown that drives there.
 
-They change little of the view, so that most measures of harm hardly notice them, and nearly all of what the ego's
-driving depends on (see `cp_env.metrics`). Removal of one object and spoofing of another are the two classic aims of
-attacks on collaborative perception (Zhang et al., "On Data Fabrication in Collaborative Vehicular Perception", USENIX
-Security 2024); to aim at the ego's lane is our choice.
+They change nearly all of what the ego's driving depends on (see `cp_env.metrics`). Those with one target change little
+else, so that most measures of harm hardly notice them. Removal of one object and spoofing of another are the two
+classic aims of attacks on collaborative perception (Zhang et al., "On Data Fabrication in Collaborative Vehicular
+Perception", USENIX Security 2024); to aim at the ego's lane is our choice.
 
 The attackers know where the ego stands and which way it faces, as it tells all who send to it. Where it will turn they
 do not know: its lane is straight.
