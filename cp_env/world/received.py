@@ -53,7 +53,10 @@ def add(
     maps: Float[Tensor, "R C H W"],
     ego_T_sender: Float[Tensor, "R 3"],
 ) -> None:
-    """Add each of R maps, moved to the ego's frame, to its row of `target`; no row twice. See `write`."""
+    """Add each of R maps, moved to the ego's frame, to its row of `target`; no row twice. See `write`.
+
+    The maps are the caller's to lose: what of them leaves the ego's map may be cleared.
+    """
     if moves_as_ours(detector) and warp.add_into(target, rows, maps, ego_T_sender, detector.extent):
         return
     warped = detector.warp(maps, ego_T_sender.to(target.device)).to(target.dtype)

@@ -41,7 +41,7 @@ def transmit(situation: Situation, delta: object, settings: Settings) -> Float[n
     Raises:
         ValueError: δ is no plain tensor, has the wrong shape, is not finite, or is not in the ball after projection.
     """
-    maps, attackers = situation.received, situation.attackers
+    maps, attackers, k = situation.received, situation.attackers, situation.attackers.shape[1]
     plain = _plain(delta, (*attackers.shape, *maps.shape[2:])).to(maps.device)
     norms = torch.zeros(attackers.shape, device=maps.device)
     sending = situation.active[:, None] & situation.present.gather(1, attackers)
@@ -49,7 +49,8 @@ def transmit(situation: Situation, delta: object, settings: Settings) -> Float[n
         _finite(plain[part.unbind(1)], settings.norm)
     for part in _together(torch.nonzero(sending), plain):
         world, slot = part.unbind(1)
-        vehicle, mine = attackers[world, slot], plain[world, slot]  # a copy: nobody else can change it any more
+        vehicle = attackers[world, slot]
+        mine = plain.flatten(0, 1).index_select(0, world * k + slot)  # a copy: nobody else can change it any more
         bounded, sent = _bounded(mine, settings)
         norms[world, slot] = sent
         rows = (world * maps.shape[1] + vehicle).tolist()

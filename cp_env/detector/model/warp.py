@@ -184,9 +184,10 @@ class _AddWeighted(torch.autograd.Function):
         if not (moves.once and len(moves.delta) == len(back.flatten(0, 1))):
             back.zero_()
         places = back.flatten(0, 1).flatten(2).unbind()
-        wide = None if gradient.dtype == ctx.dtype else torch.empty_like(places[0])
+        row, last = torch.empty_like(places[0]), -1  # a decoder may give its gradient with the channels last
         for b, i, to, of, share in zip(*moves[:5], strict=True):
-            row = rows[b] if wide is None else wide.copy_(rows[b])
+            if b != last:
+                row, last = row.copy_(rows[b]), b
             if moves.once:  # nothing is there to add to
                 torch.mul(row[:, to], share, out=places[i][:, of])
                 places[i][:, : of.start] = 0
@@ -258,23 +259,37 @@ def add_into(
     ego_T_sender: Float[Tensor, "R 3"],
     extent: float,
 ) -> bool:
-    """Add `maps[i]`, moved by whole cells, to row `rows[i]` of `target`; False, and nothing, if any moves otherwise."""
+    """Add `maps[i]`, moved by whole cells, to row `rows[i]` of `target`; False, and nothing, if any moves otherwise.
+
+    The maps are the caller's to lose: columns that leave the map are cleared in them.
+    """
     cells = whole_cells(ego_T_sender, target.shape[-1], extent)
     if cells is None:
         return False
     if target.device.type != "cpu":
         target.index_add_(0, numbers(rows, target.device), _gathered(maps, cells).to(target.dtype))
         return True
-    wide = None if target.dtype == maps.dtype else torch.empty(target.shape[1:], dtype=maps.dtype)
+    places = target.flatten(2)
+    wide = None if target.dtype == maps.dtype else torch.empty(places.shape[1:], dtype=maps.dtype)
     for row, one, shift in zip(rows, maps, cells, strict=True):
-        to, of = _overlap(shift, target.shape[-1])
-        place = target[row]
+        to, of = _run(shift, target.shape[-1])  # whole rows at once: they would end on the other side
+        _clear_lost(one, shift[0])
+        place, moved = places[row], one.flatten(1)[:, of]
         if wide is None:
-            place[to] += one[of]
+            place[:, to].add_(moved)
         else:  # as in `_AddWeighted`
-            wide.copy_(place)[to] += one[of]
+            wide.copy_(place)[:, to].add_(moved)
             place.copy_(wide)
     return True
+
+
+def _clear_lost(one: Float[Tensor, "C H W"], columns: int) -> None:
+    """Clear the columns that leave a map which moves by so many."""
+    size = one.shape[-1]
+    if columns > 0:
+        one[..., max(size - columns, 0) :] = 0
+    elif columns < 0:
+        one[..., : min(-columns, size)] = 0
 
 
 def numbers(rows: Sequence[int], device: torch.device) -> Int[Tensor, " R"]:

@@ -156,8 +156,8 @@ class Guided(ActionMap):
             gradient = gradient.contiguous()  # it is written to, and could be one number for many
             for part, reach in _parts(delta, radius):
                 slope, here = gradient[part], delta[part]
-                length = _strong(slope, situation.norm) * reach
-                here.add_(ball.steepest(slope, out=slope).mul_(length).mul_(2.0 / self.steps))
+                length = (_strong(slope, situation.norm) * reach).mul_(2.0 / self.steps)
+                here.addcmul_(ball.steepest(slope, out=slope), length)
                 ball.project(here, reach, out=here)
 
 
@@ -195,9 +195,9 @@ FAINT = 0.01
 without this a narrow aim would still fill the whole map."""
 
 
-def _strong(gradient: Float[Tensor, "*b C H W"], norm: str) -> Float[Tensor, "*b 1 H W"] | float:
-    """1 in the cells whose gradient is not faint; a direction of the L2 ball keeps its magnitudes and needs no mask."""
+def _strong(gradient: Float[Tensor, "*b C H W"], norm: str) -> Float[Tensor, "..."]:
+    """1 in the cells whose gradient is not faint; a direction of the L2 ball keeps its magnitudes: 1 for all."""
     if norm != "linf":
-        return 1.0
-    cells = gradient.abs().amax(-3, keepdim=True)
+        return gradient.new_ones(gradient.dim() * (1,))
+    cells = torch.maximum(gradient.amax(-3, keepdim=True), gradient.amin(-3, keepdim=True).neg_())
     return (cells > FAINT * cells.amax((-2, -1), keepdim=True)).to(gradient)

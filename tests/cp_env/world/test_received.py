@@ -10,6 +10,7 @@ from cp_env.world import received
 
 POSES = {
     "whole cells": [(0.0, 0.0, 0.0), (4.0, -6.0, 0.0), (-62.0, 2.0, 0.0), (200.0, 0.0, 0.0)],
+    "rows end elsewhere": [(-6.0, 64.0, 0.0), (10.0, -64.0, 0.0), (62.0, 62.0, 0.0), (-200.0, -2.0, 0.0)],
     "fractions": [(0.0, 0.0, 0.0), (4.3, -6.0, 0.0), (0.0, 2.0, 0.4), (1.0, 1.0, 3.0)],
 }
 
@@ -45,6 +46,15 @@ def test_adding_is_the_warp_on_top(detector: Detector, kind: str) -> None:
     received.add(detector, target, rows, maps, pose)
     assert torch.equal(target[rows], before[rows] + detector.warp(maps, pose))
     assert torch.equal(target[[1, 2, 4]], before[[1, 2, 4]])
+
+
+def test_a_sum_of_less_precision_is_rounded_once() -> None:
+    detector, maps = Detector(channels=3).freeze(), torch.randn(8, 3, 32, 32)
+    pose = torch.tensor(POSES["whole cells"] + POSES["rows end elsewhere"])
+    before = torch.randn(8, 3, 32, 32).bfloat16()
+    target, moved = before.clone(), detector.warp(maps, pose)
+    received.add(detector, target, list(range(8)), maps, pose)
+    assert torch.equal(target, (before.float() + moved).bfloat16())
 
 
 def test_a_target_of_less_precision_takes_the_nearest_numbers() -> None:

@@ -155,4 +155,18 @@ MUTANTS = (
         "pass",
         TRANSMISSION,
     ),
+    Mutant(
+        "the-first-slot-sends-for-all",
+        "cp_env/world/transmission.py",
+        "world * k + slot",
+        "world * k",
+        FORMULA,
+    ),
+    Mutant(
+        "rows-that-leave-the-map-come-in-on-the-other-side",
+        "cp_env/detector/model/warp.py",
+        "_clear_lost(one, shift[0])",
+        "pass",
+        ("tests/cp_env/world/test_received.py",),
+    ),
 )
