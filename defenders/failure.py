@@ -9,7 +9,7 @@ from __future__ import annotations
 import sysconfig
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from traceback import FrameSummary, StackSummary, extract_tb
 from types import GeneratorType
@@ -50,12 +50,14 @@ class Failure:
         place: "mine.py:12 in act", the innermost line of the plug-in; empty if it is not known.
         trace: the traceback from the plug-in's first frame on, without the exception's text; empty likewise.
         entry: "attack mine:Whisper" or "defender mine:Halves"; empty if it is not known.
+        killed: whether the plug-in had a process of its own, which was killed: that may be nobody's mistake.
     """
 
     reason: str
     place: str = ""
     trace: str = ""
     entry: str = ""
+    killed: bool = False
 
     def __str__(self) -> str:
         return f"{self.reason}, at {self.place}" if self.place else self.reason
@@ -86,7 +88,8 @@ def _failure(error: BaseException, asked: object) -> Failure:
     cause, entry = _origin(error), _entry(error)
     if isinstance(cause, RemoteError):
         theirs = cause.failure or Failure(reason_of(cause))
-        return Failure(theirs.reason if cause is error else reason_of(error), theirs.place, theirs.trace, entry)
+        reason = theirs.reason if cause is error else reason_of(error)
+        return replace(theirs, reason=reason, entry=entry)
     frames = list(extract_tb(cause.__traceback__))
     own = [number for number, frame in enumerate(frames) if _kind(frame) == "plug-in"]
     if own:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
+from functools import cache
 from typing import Any
 
 from defenders.registry import shown
@@ -24,4 +25,9 @@ def checked(absent: Any, n_maps: int) -> Absences:
 
 def present(absent: Absences, n_maps: int, frame: int) -> frozenset[int]:
     """The vehicles that send a map in a frame of the episode."""
-    return frozenset(i for i in range(n_maps) if frame not in absent.get(i, ()))
+    return frozenset(i for i in range(n_maps) if frame not in absent.get(i, ())) if absent else _all(n_maps)
+
+
+@cache
+def _all(n_maps: int) -> frozenset[int]:
+    return frozenset(range(n_maps))

@@ -154,12 +154,12 @@ def make_views(
     Returns:
         One `View` a row.
     """
-    origins = [grid_origin(place) for place in places]
-    own = np.stack([place - origin for place, origin in zip(places, origins, strict=True)])
+    stood = np.stack(places)
+    origins = grid_origin(stood)
     score_maps = dense.scores.detach().cpu().numpy()
     return [
         View(group, frame, origin, found, found.above(detector.threshold), score_map)
         for group, frame, origin, found, score_map in zip(
-            groups, frames, origins, detector.detect(dense, own), score_maps, strict=True
+            groups, frames, origins, detector.detect(dense, stood - origins), score_maps, strict=True
         )
     ]

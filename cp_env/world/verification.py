@@ -183,7 +183,8 @@ class _Case:
         """Take the verdict, if whatever was shown without paying was free: see `defenders.checks.check_paid`."""
         shown = [group & self.present for group in self.uncounted]
         try:
-            check_paid(shown, self._counted(), verdict.collaborators & self.present, self.present)
+            if shown:
+                check_paid(shown, self._counted(), verdict.collaborators & self.present, self.present)
         except ValueError as error:
             self._refuse(str(error))
         else:

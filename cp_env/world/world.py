@@ -124,11 +124,12 @@ class World:
             state.defender.configure(fusion=fusion_of(self.detector, self.settings.fusion))
         self._everyone = frozenset(range(self.settings.n_maps))
         self._situation: Situation | None = None
+        self._places: tuple[tuple[Episode, int], ...] | None = None  # of the current frame
         self._maps: Float[Tensor, "E N C H W"] | None = None  # room for the maps of the current frame
         self._clock, self._key = clock, key
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_situation": None, "_maps": None}  # rebuilt from the bank
+        return {**self.__dict__, "_situation": None, "_places": None, "_maps": None}  # rebuilt from the bank
 
     # -- episodes ------------------------------------------------------------------------------------------------
 
@@ -156,7 +157,7 @@ class World:
         for e, seed, own in zip(chosen, seeds or [None] * len(chosen), options_of(options, len(chosen)), strict=True):
             stream = self._worlds[e].stream if seed is None else Stream.of(seed)
             plans.append(plan_episode(self.bank, self.settings, stream, own, self._key))
-        self._situation = None
+        self._situation, self._places = None, None
         for e, plan in zip(chosen, plans, strict=True):
             self._begin(self._worlds[e], plan)
 
@@ -219,7 +220,9 @@ class World:
     @property
     def places(self) -> tuple[tuple[Episode, int], ...]:
         """The episode and the scene's frame that each world is in."""
-        return tuple((self._episode(s), self._now(s)) for s in self._worlds)
+        if self._places is None:
+            self._places = tuple((self._episode(s), self._now(s)) for s in self._worlds)
+        return self._places
 
     def _now(self, state: _State) -> int:
         return state.start + state.frame
@@ -371,6 +374,7 @@ class World:
 
     def _advance(self, outcome: SimulatedOutcome) -> None:
         """Move every world to its next frame; a world at its end stays on its last frame until it is reset."""
+        self._places = None
         for state, judgement, over in zip(self._worlds, outcome.judgements, outcome.truncated, strict=True):
             state.output, state.verdict, state.error = judgement.output, judgement.verdict, judgement.error
             state.reference = judgement.reference

@@ -21,11 +21,19 @@ MAX_LINE = 1 << 20
 """Characters of one answer, at most."""
 
 LEAVE = 1.0
-"""Seconds that are waited for the pipe's thread after the process was ended."""
+"""Seconds that are waited for a process that says nothing any more, and for the pipe's thread after it was ended."""
 
 
 class PipeError(RuntimeError):
-    """The process ended, answered more than a line can hold, or gave no answer in time."""
+    """The process ended, answered more than a line can hold, or gave no answer in time.
+
+    Attributes:
+        killed: whether somebody else killed it, as a system does that has no memory left. It may have been itself.
+    """
+
+    def __init__(self, message: str, *, killed: bool = False) -> None:
+        super().__init__(message)
+        self.killed = killed
 
 
 class Pipe:
@@ -35,6 +43,7 @@ class Pipe:
 
     Attributes:
         child: the process.
+        killed: whether somebody else killed it.
     """
 
     def __init__(self, command: Sequence[str]) -> None:
@@ -53,6 +62,7 @@ class Pipe:
         thread = threading.Thread(target=_converse, args=arguments, name="sealed pipe", daemon=True)
         thread.start()
         self.close = weakref.finalize(self, _end, self.child, self._messages, thread)
+        self.killed = False
 
     def exchange(self, message: str, until: float) -> str:
         """Send a line, and wait for the line that answers it.
@@ -68,7 +78,7 @@ class Pipe:
             PipeError: there is none; the process is ended.
         """
         if not self.close.alive:
-            raise PipeError("its process ended")
+            raise PipeError(f"its process {'was killed' if self.killed else 'ended'}", killed=self.killed)
         self._messages.put(message)
         try:
             line = self._lines.get(timeout=max(until - time.monotonic(), 0.0))
@@ -76,8 +86,10 @@ class Pipe:
             self.close()
             raise PipeError("it gave no answer in time, and its process was ended") from None
         if not line.endswith("\n"):
+            self.killed = _killed(self.child)
             self.close()
-            raise PipeError("its process ended, or answered more than a line can hold")
+            why = "was killed" if self.killed else "ended, or answered more than a line can hold"
+            raise PipeError(f"its process {why}", killed=self.killed)
         return line[:-1]
 
 
@@ -93,6 +105,13 @@ def _converse(child: subprocess.Popen[str], messages: SimpleQueue[str | None], l
             except (OSError, ValueError):  # ValueError: what it wrote is no text
                 line = ""
             lines.put(line)
+
+
+def _killed(child: subprocess.Popen[str]) -> bool:
+    """Whether a process that says nothing any more was killed, before we end it."""
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        return hasattr(signal, "SIGKILL") and child.wait(LEAVE) == -signal.SIGKILL
+    return False
 
 
 def _end(child: subprocess.Popen[str], messages: SimpleQueue[str | None], thread: threading.Thread) -> None:

@@ -84,7 +84,8 @@ class Process:
         try:
             answer = json.loads(self._pipe.exchange(json.dumps(message), self._until))
         except PipeError as error:
-            raise SealedError(f"{error} (it has {self.patience:g} s for an answer)") from error
+            reason = f"{error} (it has {self.patience:g} s for an answer)"
+            raise SealedError(reason, Failure(f"SealedError: {reason}", killed=error.killed)) from error
         except (ValueError, RecursionError) as error:
             raise SealedError(f"its process does not answer ({error})") from error
         if not isinstance(answer, dict):

@@ -46,6 +46,8 @@ class Args:
     scenes: str = "town/test"
     """of the soak of minutes and of equal trajectories; or "toy", which need no detector of the size of ours"""
     seed: int = 0
+    only: tuple[str, ...] = ()
+    """those cases whose name holds one of these texts, as "chain 4,"; all by default"""
     again: bool = False
     """try cases again that held"""
     out: Path = ROOT / "out/campaign"
@@ -56,7 +58,7 @@ class Args:
 
 
 def planned(args: Args) -> list[Case]:
-    """All cases of the parts. ValueError for a part that is not known."""
+    """The cases of the parts. ValueError for a part that is not known, or if no case has such a name."""
     if unknown := sorted(set(args.parts) - set(PARTS)):
         raise ValueError(f"unknown parts {', '.join(unknown)}; the parts are {', '.join(PARTS)}")
     cases = {
@@ -67,7 +69,11 @@ def planned(args: Args) -> list[Case]:
         equality.PART: lambda: equality.cases(args.seed, scenes=args.scenes),
         pages.PART: lambda: pages.cases(),
     }
-    return [case for part in args.parts for case in cases[part]()]
+    every = [case for part in args.parts for case in cases[part]()]
+    chosen = [case for case in every if not args.only or any(text in case.name for text in args.only)]
+    if every and not chosen:
+        raise ValueError(f"no case's name holds {' or '.join(map(repr, args.only))}, but {every[0].name!r} is one")
+    return chosen
 
 
 def campaign(cases: Sequence[Case], ledger: Ledger, code: str, work: Path, console: Console) -> list[Result]:

@@ -99,6 +99,10 @@ def test_parts_are_chosen_and_sizes_given() -> None:
     assert {made.part for made in run.planned(run.Args())} == set(run.PARTS)
     with pytest.raises(ValueError, match="unknown parts soaks; the parts are kills, inputs, soak"):
         run.planned(run.Args(parts=("soaks",)))
+    some = run.planned(run.Args(parts=("kills",), only=("chain 3,", "chain 14,")))
+    assert [case.name.split(",")[0] for case in some] == ["chain 3", "chain 14"]
+    with pytest.raises(ValueError, match="chain 99"):
+        run.planned(run.Args(only=("chain 99,",)))
 
 
 KILLS = {"kills": 5, "program": 3, "worker": 2, "sealed": 0, "encoding": 1, "compared": 2, "longest_orphan_s": 0.4}

@@ -10,6 +10,7 @@ Poses that shift by whole cells, as all grid frames on one lattice do, are not s
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,6 +24,9 @@ Window = tuple[slice, slice, slice]
 
 TOLERANCE = 1e-4
 """Cells by which a shift may miss a whole number: single precision over a few hundred metres."""
+
+FEW = 4096
+"""Shifts whose cells are remembered: as many as there are by up to 32 cells."""
 
 
 def sender_points(
@@ -197,6 +201,7 @@ class _AddWeighted(torch.autograd.Function):
         return None, back, None
 
 
+@lru_cache(maxsize=FEW)
 def _run(shift: tuple[int, int], size: int) -> tuple[slice, slice]:
     """The cells of a moved map, row after row, that are filled, and those of the map that they come from."""
     cells = size * size
@@ -204,6 +209,7 @@ def _run(shift: tuple[int, int], size: int) -> tuple[slice, slice]:
     return slice(max(0, by), cells + min(0, by)), slice(max(0, -by), cells - max(0, by))
 
 
+@lru_cache(maxsize=FEW)
 def _overlap(shift: tuple[int, int], size: int) -> tuple[Window, Window]:
     """The part of a moved map that the map reaches, and the part of the map that it comes from."""
     x, y = max(-size, min(size, shift[0])), max(-size, min(size, shift[1]))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import gc
 import os
+import signal
 import sys
 import time
 from pathlib import Path
@@ -64,6 +65,23 @@ def test_whoever_asks_goes_on(program: str, reason: str) -> None:
     assert one.child.poll() is not None
     with pytest.raises(PipeError, match="its process ended"):  # at once
         one.exchange("again", in_time(60))
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no such signal here")
+@pytest.mark.parametrize("program", [ECHO, SILENT, ENDS], ids=["echo", "silent", "ends"])
+@pytest.mark.parametrize("killed", [False, True])
+def test_it_is_known_who_was_killed_by_somebody_else(program: str, killed: bool) -> None:
+    """Whom we end because it is silent was not."""
+    one = open_pipe(program)
+    if killed:
+        one.child.kill()
+    if program == ECHO and not killed:
+        assert one.exchange("ab", in_time(60)) == "ba"
+        one.child.terminate()
+    for _ in range(2):
+        with pytest.raises(PipeError) as raised:
+            one.exchange("hello", in_time(1))
+        assert raised.value.killed == killed
 
 
 def test_a_process_that_never_reads_holds_up_nobody() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -33,6 +35,21 @@ class Elephant(Defender):
         return Verdict(range(frame.n_vehicles), range(min(len(_remembered), frame.n_vehicles)))
 
 
+class Mortal(Defender):
+    """Its process is killed in the second frame, until the folder says that this has happened often enough."""
+
+    def reset(self, n_vehicles: int, rng: np.random.Generator) -> None:
+        del n_vehicles, rng
+
+    def inspect(self, frame: Frame) -> Inspection:
+        yield from ()
+        deaths = Path(os.environ["CP_ENV_TEST_DEATHS"])
+        if frame.index == 1 and len(list(deaths.iterdir())) < int(os.environ["CP_ENV_TEST_LIVES"]):
+            (deaths / str(os.getpid())).touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        return Verdict(range(frame.n_vehicles))
+
+
 def outcome(defender: str, conditions: Conditions) -> list[dict[str, object]]:
     run = Run(defender, "pgd:steps=1", 2, 7, conditions.names)
     records = play(run, conditions, toy_bank(), agents.make(run.attack), clock=lambda: 0.0)
@@ -54,6 +71,26 @@ def test_a_sealed_defender_remembers_nothing_from_one_run_to_the_next() -> None:
     assert flagged(SEALED) == once == [2, 2]  # both worlds of the run, and no other run's
     assert flagged(CONDITIONS) == [2, 2]
     assert flagged(CONDITIONS) == [4, 4]  # in the referee's process it does
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no such signal here")
+@pytest.mark.parametrize("deaths", [0, 1, 2])
+def test_a_run_whose_sealed_process_was_killed_is_played_once_more(
+    deaths: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Who kills a process is not known: one death counts for nothing, a second one is the defender's own failure."""
+    monkeypatch.setenv("CP_ENV_TEST_DEATHS", str(tmp_path / "deaths"))
+    monkeypatch.setenv("CP_ENV_TEST_LIVES", str(deaths))
+    (tmp_path / "deaths").mkdir()
+    runs = plan_runs(SEALED, defenders=(f"{__name__}:Mortal",), attacks=("none",), ks=(1,), seeds=(0,))
+    store = Store(tmp_path / "out")
+    list(execute(runs, SEALED, store, ticking(make_attack=agents.make)))
+    (records,) = store.load(runs, SEALED).values()
+    assert len(list((tmp_path / "deaths").iterdir())) == deaths
+    if deaths < 2:
+        assert all(record.error is None and len(record.damage) == SEALED.frames for record in records)
+    else:
+        assert all("was killed" in (record.error or "") and len(record.damage) == 2 for record in records)
 
 
 def test_what_cannot_be_sealed_is_said_before_anything_is_played() -> None:
