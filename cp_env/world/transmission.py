@@ -61,12 +61,14 @@ def transmit(situation: Situation, delta: object, settings: Settings) -> Float[n
 @contextmanager
 def unperturbed_after(situation: Situation) -> Iterator[None]:
     """Put the attackers' maps back as they were, whatever was added to them meanwhile."""
-    worlds = torch.arange(len(situation.attackers), device=situation.attackers.device)[:, None]
-    before = situation.received[worlds, situation.attackers]
+    maps, worlds = situation.received.flatten(0, 1), len(situation.attackers)
+    first = torch.arange(worlds, device=maps.device)[:, None] * (len(maps) // worlds)
+    rows = (first + situation.attackers).flatten()
+    before = maps.index_select(0, rows)
     try:
         yield
     finally:
-        situation.received[worlds, situation.attackers] = before
+        maps.index_copy_(0, rows, before)
 
 
 def _bounded(

@@ -60,7 +60,8 @@ class Args:
     seed: int = 0
     detector: bool = False
     """count on the shipped detector under PGD instead"""
-    scenes: str = "town/test"
+    scenes: str = "junction/test"
+    """with the detector; ROBOSAC and PASAC need n + 1 connected vehicles, which few scenes of the town have"""
     n_scenes: int = 3
     frames: int = 6
     """of every scene, with the detector"""

@@ -7,6 +7,7 @@ import pytest
 
 from agents.calibration import ego_view
 from agents.calibration.samples import errors, no_samples
+from cp_env.scenes import open_source
 from examples.reproduce import clean_groups, robosac_budget, verification_counts
 from tests.helpers.toy_scenes import ToySource
 
@@ -77,3 +78,9 @@ def test_the_same_count_on_the_detector() -> None:
     args = verification_counts.Args(n=3, scenes=ToySource(n_frames=3), n_scenes=1, frames=3)
     counts = verification_counts.count_on_detector("PASAC", 1, args)
     assert counts.shape == (1, 2) and counts.min() >= 2 and counts.max() <= 4
+
+
+def test_scenes_of_the_detector_hold_the_ego_and_its_collaborators() -> None:
+    args = verification_counts.Args()
+    source = open_source(args.scenes)
+    assert all(source.load(name).n_connected > args.n for name in source.names())

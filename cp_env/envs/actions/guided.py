@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from cp_env.detector.model.decoder import cell_centres
+from cp_env.detector.model.decoder import Dense, cell_centres
 from cp_env.envs.actions.base import ActionMap
 from cp_env.perturbation.ball import make_ball
 from cp_env.perturbation.objective import Loss, attacked_output, distance_from
@@ -120,14 +120,14 @@ class Guided(ActionMap):
         spoof, drift = (weights * guidance.spoof[busy]).sum(1), (weights * guidance.drift[busy]).sum(1)
         for rows in torch.arange(len(busy)).split(TOGETHER.get(delta.device.type, len(busy))):
             worlds, few = busy[rows], slice(int(rows[0]), int(rows[-1]) + 1)
-            clean = type(situation.clean)(situation.clean.logits[worlds], situation.clean.boxes[worlds])
+            clean = Dense(*(one.index_select(0, worlds) for one in (situation.clean.logits, situation.clean.boxes)))
             damage = distance_from(clean, hide=1 - spoof[few], spoof=spoof[few], drift=drift[few], where=where[few])
             if _consecutive(worlds):  # as where all attack: nothing is copied
                 self._climb(delta[int(worlds[0]) : int(worlds[-1]) + 1], radius[worlds], worlds, damage, situation)
             else:
-                mine = delta[worlds]
+                mine = delta.index_select(0, worlds)
                 self._climb(mine, radius[worlds], worlds, damage, situation)
-                delta[worlds] = mine
+                delta.index_copy_(0, worlds, mine)
 
     def _climb(
         self,
