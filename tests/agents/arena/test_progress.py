@@ -26,7 +26,8 @@ def test_all_steps_are_taken(terminal: bool, capsys: pytest.CaptureFixture[str])
         bars.count("playing", iter(range(3)), 3, name, unit="run")
     assert taken == [0, 1, 2]
     assert ("playing" in shown.getvalue() and "3/3" in shown.getvalue()) == terminal
-    assert (shown.getvalue() == "" and capsys.readouterr().err == "") != terminal, "three quick steps need no line"
+    words = shown.getvalue().strip()  # older versions of rich end an invisible bar with an empty line
+    assert (words == "" and capsys.readouterr().err == "") != terminal, "three quick steps need no line"
 
 
 @pytest.mark.parametrize("terminal", [True, False])
