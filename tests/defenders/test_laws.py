@@ -6,6 +6,7 @@ import copy
 import hashlib
 import pickle
 from dataclasses import dataclass
+from typing import NoReturn
 
 import numpy as np
 import pytest
@@ -22,11 +23,10 @@ class Guard:
     """A frame that has the protocol's six names and nothing else."""
 
     def __init__(self, frame: Frame) -> None:
-        self._shown = {name: getattr(frame, name) for name in PROTOCOL}
+        vars(self).update((name, getattr(frame, name)) for name in PROTOCOL)
 
-    def __getattr__(self, name: str) -> object:
-        assert name in PROTOCOL, f"a defender read {name!r}"
-        return self._shown[name]
+    def __getattr__(self, name: str) -> NoReturn:
+        raise AssertionError(f"a defender read {name!r}")
 
 
 @dataclass
