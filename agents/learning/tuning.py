@@ -9,6 +9,7 @@ its checkpoints. So a study that was killed and started again ends as if it had 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -94,22 +95,20 @@ def tune(
         raise ValueError(f"a study needs a trial and distinct seeds; got {trials} trials and the seeds {list(seeds)}")
     first, library = _first(base, n_steps), _optuna()
     check_writable(folder)
-    study = library.create_study(
-        storage=f"sqlite:///{folder / 'study.db'}", study_name=NAME, direction="maximize", load_if_exists=True
-    )
     asked = {"recipe": asdict(base), "seeds": list(seeds), "seed": seed, "n_steps": list(n_steps)}
-    _claim(study, folder, asked)
-    finished = _finished(study)
-    yield from finished[:trials]
-    while len(finished) < trials:
-        number, values = _open(study, first, base, seed, n_steps)
-        done = _score(number, values, base, folder, seeds)
-        if not done.damage and not finished:
-            raise ValueError(f"the recipe's own hyperparameters cannot be trained with: {done.reason}")
-        _store(study, done)
-        finished.append(done)
-        write_best(finished, folder, asked)
-        yield done
+    with _study(library, folder) as study:
+        _claim(study, folder, asked)
+        finished = _finished(study)
+        yield from finished[:trials]
+        while len(finished) < trials:
+            number, values = _open(study, first, base, seed, n_steps)
+            done = _score(number, values, base, folder, seeds)
+            if not done.damage and not finished:
+                raise ValueError(f"the recipe's own hyperparameters cannot be trained with: {done.reason}")
+            _store(study, done)
+            finished.append(done)
+            write_best(finished, folder, asked)
+            yield done
 
 
 def write_best(finished: Sequence[Trial], folder: Path, asked: dict[str, Any]) -> Trial:
@@ -189,6 +188,17 @@ def _optuna() -> Any:
         raise ImportError("hyperparameters are tuned by Optuna, an extra: pip install 'cp-env[agents,tune]'") from error
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     return optuna
+
+
+@contextmanager
+def _study(library: Any, folder: Path) -> Iterator[optuna.study.Study]:
+    """The study in a folder, new or begun; its file is closed in the end."""
+    storage = library.storages.RDBStorage(f"sqlite:///{folder / 'study.db'}")
+    try:
+        yield library.create_study(storage=storage, study_name=NAME, direction="maximize", load_if_exists=True)
+    finally:
+        storage.remove_session()
+        storage.engine.dispose()
 
 
 def _claim(study: optuna.study.Study, folder: Path, asked: dict[str, Any]) -> None:
