@@ -61,7 +61,7 @@ class Args:
     detector: bool = False
     """count on the shipped detector under PGD instead"""
     scenes: str = "junction/test"
-    """with the detector; ROBOSAC and PASAC need n + 1 connected vehicles, which few scenes of the town have"""
+    """with the detector; ROBOSAC and PASAC need n + 1 connected vehicles, which most scenes of the town lack"""
     n_scenes: int = 3
     frames: int = 6
     """of every scene, with the detector"""

@@ -275,7 +275,7 @@ def add_into(
     if target.device.type != "cpu":
         target.index_add_(0, numbers(rows, target.device), _gathered(maps, cells).to(target.dtype))
         return True
-    places = target.flatten(2)
+    places = target.view(*target.shape[:2], -1)  # never a copy
     wide = None if target.dtype == maps.dtype else torch.empty(places.shape[1:], dtype=maps.dtype)
     for row, one, shift in zip(rows, maps, cells, strict=True):
         to, of = _run(shift, target.shape[-1])  # whole rows at once: they would end on the other side
