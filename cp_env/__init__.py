@@ -97,6 +97,8 @@ def parallel_env(
             * `budget` (0.3): Δ >= 0, largest norm of a perturbation, in units of the feature map, before the warp
               (Eq. 1).
             * `norm` ("linf"): which norm that is, "linf" or "l2", over a vehicle's whole map.
+            * `gradient_precision` (None): of the gradients that the actions "guided", "stealth" and "critical" take:
+              "bfloat16" for a faster search of the attackers in a rounded copy of the detector, or the detector's own.
             * `rsu` (False): whether the scene's road-side unit shares its map too, as the last number. It is malicious
               only if `attackers` names it.
             * `slots` ("adversaries"): agents `adversary_0` … `adversary_{k-1}`, each of which drives the attacker that

@@ -61,6 +61,7 @@ class Options(TypedDict, total=False):
     reward: RewardName | Callable[..., Any]
     budget: float
     norm: Norm
+    gradient_precision: Precision | None
     rsu: bool
     slots: Slots
     grace_frames: int
@@ -103,6 +104,7 @@ class Settings:
     reward: RewardName | Callable[..., Any] = "damage"
     budget: float = 0.3
     norm: Norm = "linf"
+    gradient_precision: Precision | None = None
     rsu: bool = False
     slots: Slots = "adversaries"
     grace_frames: int = 1

@@ -11,6 +11,7 @@ from torch import Tensor
 from agents.protocol import Streams, streams
 from cp_env.envs.actions.base import ActionMap
 from cp_env.envs.actions.registry import make_action
+from cp_env.settings import Precision
 from cp_env.world.situation import Situation
 
 
@@ -22,6 +23,7 @@ class RandomActions:
         action: name of the action map.
         reach: half the width of the distribution, 0 to 1. With 0 every number is the middle of its range, which is what
             the mean of a policy is before it learns.
+        gradient_precision: of the gradients that the map takes, "bfloat16" for faster ones; the victim's by default.
 
     Raises:
         ValueError: a reach out of range.
@@ -29,6 +31,7 @@ class RandomActions:
 
     action: str = "guided"
     reach: float = 1.0
+    gradient_precision: Precision | None = None
     _map: ActionMap | None = field(default=None, init=False, repr=False)
     _streams: list[np.random.Generator] = field(default_factory=list, init=False, repr=False)
 
@@ -42,7 +45,7 @@ class RandomActions:
     def act(self, situation: Situation) -> Float[Tensor, "E k C H W"]:
         """See `Attack.act`."""
         if self._map is None:
-            self._map = make_action(self.action, *situation.delta_shape[2:4])
+            self._map = make_action(self.action, *situation.delta_shape[2:4], self.gradient_precision)
         shape = (situation.attackers.shape[1], *self._map.space.shape)
         actions = np.stack([rng.uniform(-self.reach, self.reach, shape) for rng in self._streams])
         return self._map(actions.astype(np.float32), situation)

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from cp_env.detector.model.decoder import Dense
-from cp_env.perturbation.objective import attacked_output
+from cp_env.perturbation.output import attacked_output
 from cp_env.world.situation import Situation
 
 GroupDistribution = tuple[Bool[Tensor, "E S N"], Float[Tensor, "E S"]]

@@ -44,6 +44,8 @@ class Recipe:
     """an actor with a memory of the frames before (needs the extra `recurrent`)"""
     action: Action = "guided"
     """what its numbers mean: guided, stealth or basis, see docs/actions.md"""
+    gradient_precision: Precision | None = None
+    """of the gradients that guided, stealth and critical take: bfloat16 is faster; the detector's own by default"""
     knowledge: Knowledge = "black-box"
     """how much of the defender the policy sees: black-box, gray-box or white-box"""
     reward: RewardName = "damage"

@@ -18,6 +18,7 @@ from cp_env.envs.observation import Observation, Observer, SlotAssignment
 from cp_env.envs.reward import make_reward
 from cp_env.rendering.camera import Camera
 from cp_env.settings import Options
+from cp_env.world.counterfactual import rounded
 from cp_env.world.reset import ResetOptions, Seed
 from cp_env.world.scene_cache import SceneBank
 from cp_env.world.situation import FRAME_METRICS, Clock, Outcome
@@ -73,7 +74,9 @@ class Game:
         if settings.k == 0:
             raise ValueError("an environment needs at least one adversary: set n_attackers >= 1")
         shape = (self.world.detector.channels, self.world.detector.size)
-        self._map = make_action(settings.action, *shape)
+        self._map = make_action(settings.action, *shape, settings.gradient_precision)
+        if settings.gradient_precision is not None:
+            rounded(self.world.detector, settings.gradient_precision)
         self._observer = Observer(settings, *shape)
         self._reward = make_reward(settings.reward)
         self._camera = Camera(self.world, f"{settings.action} actions")

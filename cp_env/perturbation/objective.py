@@ -19,15 +19,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional
 
-from cp_env.detector.model.base import moves_as_ours
 from cp_env.detector.model.decoder import Dense, highest_neighbour
-from cp_env.detector.model.warp import add_weighted, weighted_moves
-from cp_env.detector.protocol import DetectorLike, LinearFusion
-from cp_env.perturbation.channel import inject
 
 OBJECT_PROBABILITY = 0.2
 """Cells whose clean probability is at least this are object cells, weighted by it."""
@@ -103,61 +99,6 @@ def object_cells(clean: Dense) -> Float[Tensor, "B h w"]:
     """The probability of the cells in which a view sees a vehicle, 0 elsewhere."""
     probability = clean.logits.detach().sigmoid()
     return probability * (probability >= OBJECT_PROBABILITY)
-
-
-def attacked_output(
-    detector: DetectorLike,
-    received: Float[Tensor, "E N C H W"],
-    coverage: Float[Tensor, "E N H W"],
-    attackers: Int[Tensor, "T k"],
-    ego_T_attacker: Float[Tensor, "T k 3"],
-    world: Int[Tensor, " B"],
-    groups: Bool[Tensor, "B N"],
-    *,
-    worlds: Int[Tensor, " T"] | None = None,
-) -> Callable[[Float[Tensor, "T k C H W"]], Dense]:
-    """The ego's output as a function of the attackers' δ, Eq. (1): of group `groups[b]` in world `world[b]`.
-
-    Where the fusion is linear in the maps, the unperturbed ones are fused once and not at every call.
-
-    Args:
-        detector: the victim.
-        received: all maps in the ego's frame, unperturbed.
-        coverage: the cells that each map covers.
-        attackers: numbers of the malicious vehicles of each world.
-        ego_T_attacker: their poses in the ego's frame; m, m, rad.
-        world: the world of each view.
-        groups: the vehicles fused in each view.
-        worlds: which of E worlds the T are that δ is given for; all of them by default. `detector` is bound to these
-            alone.
-
-    Returns:
-        A function from δ, in the attackers' own frames, to the decoder's output; differentiable.
-    """
-    row = world if worlds is None else worlds[world]
-    weights = detector.linear_weights(coverage, row, groups) if isinstance(detector, LinearFusion) else None
-    if weights is None or not isinstance(detector, LinearFusion):
-        if worlds is not None:
-            received, coverage = received[worlds], coverage[worlds]
-
-        def general(delta: Float[Tensor, "T k C H W"]) -> Dense:
-            attacked = inject(received, detector.warp(delta, ego_T_attacker), attackers)
-            return detector.perceive(attacked, coverage, world, groups)
-
-        return general
-
-    benign = detector.fuse(received, coverage, row, groups)
-    share = torch.take_along_dim(weights, attackers[world][..., None, None], 1)[:, :, None]
-    one_each = torch.equal(world, torch.arange(len(attackers), device=world.device))
-    moves = weighted_moves(share, world, ego_T_attacker, detector.extent) if moves_as_ours(detector) else None
-
-    def linear(delta: Float[Tensor, "T k C H W"]) -> Dense:
-        if moves is not None:
-            return detector.decode(add_weighted(benign, delta, moves))
-        warped = detector.warp(delta, ego_T_attacker)
-        return detector.decode(benign + ((warped if one_each else warped[world]) * share).sum(1))
-
-    return linear
 
 
 def _of_each(weight: Weight, like: Float[Tensor, " B"]) -> Float[Tensor, " B"]:

@@ -30,16 +30,24 @@ def in_precision(situation: Situation, precision: str) -> Situation:
     Raises:
         ValueError: the detector does not know that precision.
     """
-    detector = situation.detector
+    detector = rounded(situation.detector, precision)
+    receive = cache(lambda: situation.received.to(getattr(torch, precision)))
+    return replace(situation, detector=detector, receive=receive)
+
+
+def rounded(detector: DetectorLike, precision: str) -> DetectorLike:
+    """The detector in another precision; made once.
+
+    Raises:
+        ValueError: the detector does not know that precision.
+    """
     if not isinstance(detector, BaseDetector):
         raise ValueError(f"detector {type(detector).__name__} knows no precision but its own, not {precision!r}")
     other = _COPIES.setdefault(detector, {})
     if precision not in other:
         other[precision] = detector.with_precision(precision)
-    model = other[precision]
-    receive = cache(lambda: situation.received.to(model.dtype))
-    whole: DetectorLike = model  # type: ignore[assignment]  # as whole as the situation's
-    return replace(situation, detector=whole, receive=receive)
+    twin: DetectorLike = other[precision]  # type: ignore[assignment]  # as whole as the detector itself
+    return twin
 
 
 _COPIES: WeakKeyDictionary[BaseDetector, dict[str, BaseDetector]] = WeakKeyDictionary()

@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from cp_env import evaluation
+from cp_env.evaluation.analysis.comparisons import paired_difference
 from cp_env.evaluation.plan.records import PooledApMeter
 from cp_env.metrics.average_precision import resampled_ap
 from cp_env.metrics.identification import mc_rate, recovery
@@ -149,6 +150,39 @@ def by_ego(results: ByFusion, lines: Sequence[Line]) -> Iterator[str]:
                 for part in parts.values()
             ]
             yield f"| {line.label} | " + " | ".join(cell("ap50", ap) for ap in aps) + " |"
+
+
+def objectives(results: Records, defenders: Sequence[str] = ("none", "prbi")) -> Iterator[str]:
+    """What the standard detection loss does to a defender beside our objective: by frame, and paired by scene.
+
+    The similarity is that of what all vehicles together see to what the ego saw last, over the attacked frames.
+    """
+    columns = (
+        "standard loss",
+        "standard − ours, paired",
+        "similarity: ours, standard",
+        "identified, %: ours, standard",
+    )
+    yield head("detection loss/frame", ("our objective", *columns))
+    for defender in defenders:
+        for attack, name in NAMES.items():
+            ours, standard = (
+                _records(results, defender, attack + option) for option in ("", ":objective=detection_loss")
+            )
+            damages = [[float(np.mean(record.damage)) for record in of] for of in (ours, standard)]
+            more, _ = paired_difference(damages[1], damages[0])
+            cells = [f"{share_interval(of):.3f}" for of in damages] + [f"{more:+.3f}"]
+            for measure, digits in ((_to_the_last, 2), (_identified, 0)):
+                cells.append(", ".join(f"{np.mean([measure(r) for r in of]):.{digits}f}" for of in (ours, standard)))
+            yield f"| {name}, {defender} | " + " | ".join(cells) + " |"
+
+
+def _to_the_last(record: evaluation.Record) -> float:
+    return float(np.mean(record.similarity[record.grace_frames :]))
+
+
+def _identified(record: evaluation.Record) -> float:
+    return 100 * float(np.mean([attacker in record.suspects for attacker in record.attackers]))
 
 
 def head(title: str, columns: Sequence[str]) -> str:

@@ -45,7 +45,18 @@ from cp_env import evaluation
 from cp_env.rendering import style
 from cp_env.scenes import open_source
 from cp_env.settings import Fusion, Precision
-from examples.reproduce.defence_figures import TITLES, Found, Records, by_ego, fig_6, figures, headline, markdown, shown
+from examples.reproduce.defence_figures import (
+    TITLES,
+    Found,
+    Records,
+    by_ego,
+    fig_6,
+    figures,
+    headline,
+    markdown,
+    objectives,
+    shown,
+)
 from examples.reproduce.paper_tables import FUSIONS, TABLES, PaperTable
 
 N_ATTACKERS = 2
@@ -184,6 +195,9 @@ def report(name: str, results: dict[Fusion, Records], args: Args) -> None:
             *fig_6(mine),
             sep="\n",
         )
+    if name == "loss":
+        for fusion in fusions:
+            print(*objectives(mine[fusion]), sep="\n")
     rows = [
         {
             "fusion": f,

@@ -8,7 +8,7 @@ the outputs of consecutive frames. The upper bound fuses all vehicles without an
 alone. BIM, C&W and PGD (Sec. 11.1: Δ = 0.3, 15 steps of 0.1) attack in two of five vehicles, drawn anew for each scene.
 Both frames of a pair are attacked, as we read the paper. `to_benign` is the similarity of the attacked frame to the
 benign view of the frame before, which is what a defence compares. The table has the mean over scenes with its 95 %
-interval (Student's t). What is played is kept in `out`: the same command goes on where a killed run stopped.
+interval (Gaffke). What is played is kept in `out`: the same command goes on where a killed run stopped.
 """
 
 from __future__ import annotations

@@ -53,8 +53,9 @@ class Decoder(nn.Module):
     def forward(self, fused: Float[Tensor, "B C H W"]) -> Dense:
         fine = self._pointwise(fused.to(self.up.weight.dtype))
         coarse = functional.interpolate(self.up(self.down(fine)), scale_factor=2.0, mode="nearest")
-        out = functional.pixel_shuffle(self.head(self.top(fine + coarse)), 2)
-        return Dense(out[:, 0].float(), out[:, 1:].float())
+        cells = self.head(self.top(fine + coarse)).float()  # here it lies in one piece
+        out = functional.pixel_shuffle(cells, 2)
+        return Dense(out[:, 0], out[:, 1:])
 
     def _pointwise(self, fused: Float[Tensor, "B C H W"]) -> Float[Tensor, "B D H W"]:
         """The stem; once folded a matrix product, which leaves the channels last and is faster than a convolution."""

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.nn import functional
 
@@ -108,7 +108,11 @@ class Moves(NamedTuple):
 
 
 def weighted_moves(
-    share: Float[Tensor, "B k 1 H W"], world: Int[Tensor, " B"], ego_T_sender: Float[Tensor, "E k 3"], extent: float
+    share: Float[Tensor, "B k 1 H W"],
+    world: Int[Tensor, " B"],
+    ego_T_sender: Float[Tensor, "E k 3"],
+    extent: float,
+    sending: Bool[Tensor, "E k"] | None = None,
 ) -> Moves | None:
     """How the attackers' δ come into the means of some groups.
 
@@ -117,6 +121,7 @@ def weighted_moves(
         world: the world of each fused map.
         ego_T_sender: poses of the senders; m, m, rad.
         extent: half the side of a map, m.
+        sending: whose δ are moved at all; everyone's by default.
 
     Returns:
         What `add_weighted` needs; None if a map moves by anything but whole cells, or is elsewhere than on the CPU,
@@ -128,7 +133,7 @@ def weighted_moves(
         return None
     moves = Moves([], [], [], [], [], once=len(world.unique()) == len(world))
     for b, e in enumerate(world.tolist()):
-        for j in range(k):
+        for j in range(k) if sending is None else sending[e].nonzero()[:, 0].tolist():
             shift = cells[e * k + j]
             inside, (to, of) = _overlap(shift, size)[0], _run(shift, size)
             kept = torch.zeros_like(share[b, j])

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -12,9 +10,12 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from cp_env.detector.model.decoder import Dense, cell_centres
+from cp_env.envs.actions.ascent import climb, parts
 from cp_env.envs.actions.base import ActionMap
 from cp_env.perturbation.ball import make_ball
-from cp_env.perturbation.objective import Loss, attacked_output, distance_from
+from cp_env.perturbation.objective import Loss, distance_from
+from cp_env.perturbation.output import attacked_output
+from cp_env.world.counterfactual import rounded
 from cp_env.world.situation import Situation
 
 
@@ -57,8 +58,10 @@ class Guided(ActionMap):
     size = 8
     steps = 3
 
-    def __init__(self, channels: int, size: int) -> None:
+    def __init__(self, channels: int, size: int, precision: str | None = None) -> None:
+        """A map for shared maps of (channels, size, size), whose gradients are of a precision or the detector's own."""
         super().__init__((self.size,))
+        self._precision = precision
         self._last: Float[Tensor, "E k C H W"] | None = None
         self._stale: list[int] = []
 
@@ -80,7 +83,7 @@ class Guided(ActionMap):
         last, ball = self._carried(situation), make_ball(situation.norm)
         radius = guidance.strength * situation.budget * (guidance.fires * situation.active[:, None])
         delta = torch.empty_like(last)
-        for part, share, reach in _parts(delta, guidance.persistence, radius):
+        for part, share, reach in parts(delta, guidance.persistence, radius):
             ball.project(torch.mul(last[part], share, out=delta[part]), reach, out=delta[part])
         useful = situation.fused.gather(1, situation.attackers) & (radius > 0)
         if bool(useful.any()):
@@ -98,7 +101,7 @@ class Guided(ActionMap):
     def _keep(self, delta: Float[Tensor, "E k C H W"], fires: Float[Tensor, "E k"]) -> None:
         """Keep what was sent; an attacker that pauses keeps its last perturbation."""
         assert self._last is not None
-        for part, fired in _parts(delta, fires):
+        for part, fired in parts(delta, fires):
             if not isinstance(fired, float):
                 torch.where(fired > 0, delta[part], self._last[part], out=self._last[part])
             elif fired > 0:
@@ -113,6 +116,8 @@ class Guided(ActionMap):
         situation: Situation,
     ) -> None:
         """Move δ, in place, by `steps` steps of ascent; only in worlds where a perturbation can still reach the ego."""
+        if self._precision is not None:
+            situation = replace(situation, detector=rounded(situation.detector, self._precision))
         busy = useful.any(1).nonzero()[:, 0]
         weights = guidance.fires[busy] * useful[busy]
         weights = weights / weights.sum(1, keepdim=True).clamp(min=1)
@@ -138,43 +143,22 @@ class Guided(ActionMap):
         situation: Situation,
     ) -> None:
         """The ascent in some worlds, δ in place."""
-        attackers, ball = situation.attackers[worlds], make_ball(situation.norm)
         perceive = attacked_output(
             situation.ego_detector(worlds),
             situation.received,
             situation.coverage,
-            attackers,
-            torch.take_along_dim(situation.ego_T_sender[worlds], attackers[..., None], 1),
+            situation.attackers[worlds],
+            torch.take_along_dim(situation.ego_T_sender[worlds], situation.attackers[worlds][..., None], 1),
             torch.arange(len(worlds), device=worlds.device),
             situation.fused[worlds],
             worlds=worlds,
+            sending=radius > 0,
         )
-        for _ in range(self.steps):
-            leaf = delta.detach().requires_grad_()  # on the same memory: its graph is gone when δ changes
-            with torch.enable_grad():
-                (gradient,) = torch.autograd.grad(damage(perceive(leaf)).sum(), leaf)
-            gradient = gradient.contiguous()  # it is written to, and could be one number for many
-            for part, reach in _parts(delta, radius):
-                slope, here = gradient[part], delta[part]
-                length = (_strong(slope, situation.norm) * reach).mul_(2.0 / self.steps)
-                here.addcmul_(ball.steepest(slope, out=slope), length)
-                ball.project(here, reach, out=here)
+        climb(delta, radius, perceive, damage, situation.norm, self.steps)
 
 
 TOGETHER = {"cpu": 16}
 """Worlds whose gradient is taken in one go, by kind of device; all of them elsewhere."""
-
-ONE_BY_ONE = ("cpu",)
-"""Devices on which δ are changed one at a time, so that each stays in the processor's own cache."""
-
-
-def _parts(delta: Float[Tensor, "B k C H W"], *numbers: Float[Tensor, "B k"]) -> Iterator[tuple[Any, ...]]:
-    """The places of the δ that are worked on in one go, and their numbers: plain ones of a single δ, or tensors."""
-    if delta.device.type in ONE_BY_ONE:
-        places = ((world, slice(slot, slot + 1)) for world, slot in np.ndindex(*delta.shape[:2]))
-        yield from zip(places, *(one.flatten().tolist() for one in numbers), strict=True)
-    else:
-        yield slice(None), *(one[..., None, None, None] for one in numbers)
 
 
 def _consecutive(rows: Int[Tensor, " B"]) -> bool:
@@ -188,16 +172,3 @@ def _aim(guidance: Guidance, situation: Situation) -> Float[Tensor, "E k h w"]:
     dx = centre[None, None, None, :] - guidance.x[..., None, None]
     dy = centre[None, None, :, None] - guidance.y[..., None, None]
     return torch.exp(-(dx**2 + dy**2) / (2 * guidance.width[..., None, None] ** 2))
-
-
-FAINT = 0.01
-"""Cells whose gradient is below this share of the strongest cell's are left alone: a sign knows no magnitude, and
-without this a narrow aim would still fill the whole map."""
-
-
-def _strong(gradient: Float[Tensor, "*b C H W"], norm: str) -> Float[Tensor, "..."]:
-    """1 in the cells whose gradient is not faint; a direction of the L2 ball keeps its magnitudes: 1 for all."""
-    if norm != "linf":
-        return gradient.new_ones(gradient.dim() * (1,))
-    cells = torch.maximum(gradient.amax(-3, keepdim=True), gradient.amin(-3, keepdim=True).neg_())
-    return (cells > FAINT * cells.amax((-2, -1), keepdim=True)).to(gradient)

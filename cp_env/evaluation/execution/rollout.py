@@ -31,7 +31,7 @@ from defenders.sealed import seal
 RECORDED = ("damage", "similarity", "verifications")
 """The frame metrics that a record holds."""
 
-VIEWPOINT = ("action", "observation", "knowledge")
+VIEWPOINT = ("action", "observation", "knowledge", "gradient_precision")
 """The options that a learned attack brings along; the rest is given by the conditions."""
 
 

@@ -14,6 +14,8 @@ TRANSMISSION = (
     "tests/cp_env/world/test_absence.py",
 )
 FORMULA = ("tests/cp_env/world/test_world.py::test_step_agrees_with_the_formula_written_out",)
+ASCENT = "cp_env/envs/actions/ascent.py"
+CLIMBS = ("tests/cp_env/envs/actions/test_ascent.py",)
 BALL_EDGES = (f"{TESTS}test_ball_edges.py",)
 CHANNEL_EDGES = (f"{TESTS}test_channel_edges.py",)
 TRANSMISSION_EDGES = ("tests/cp_env/world/test_transmission_edges.py",)
@@ -168,5 +170,23 @@ MUTANTS = (
         "_clear_lost(one, shift[0])",
         "pass",
         ("tests/cp_env/world/test_received.py",),
+    ),
+    Mutant("faint-cells-too", ASCENT, "(felt > FAINT * felt.amax())", "(felt > 0)", CLIMBS),
+    Mutant(
+        "strongest-of-the-rising-alone",
+        ASCENT,
+        "torch.maximum(slope.amax(0, keepdim=True), slope.amin(0, keepdim=True).neg_())",
+        "slope.amax(0, keepdim=True)",
+        CLIMBS,
+    ),
+    Mutant("steps-of-lost-cells", ASCENT, "strongest[:, to] * share", "strongest[:, to]", CLIMBS),
+    Mutant("slopes-of-the-first-world", ASCENT, "if b != last:", "if last < 0:", CLIMBS),
+    Mutant("steps-without-a-ball", ASCENT, "-reach, reach, out=here)", "-9.0, 9.0, out=here)", CLIMBS),
+    Mutant(
+        "senders-of-the-next-world",
+        "cp_env/detector/model/warp.py",
+        "sending[e].nonzero()",
+        "sending[e - 1].nonzero()",
+        (f"{TESTS}test_output.py",),
     ),
 )

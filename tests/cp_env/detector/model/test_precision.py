@@ -12,7 +12,7 @@ from cp_env.detector import Dense, Detector, load_detector
 from cp_env.detector.model import base
 from cp_env.detector.model.base import BaseDetector
 from cp_env.detector.registry import open_detector, precise
-from cp_env.perturbation.objective import attacked_output
+from cp_env.perturbation.output import attacked_output
 from cp_env.types import Sweep
 from cp_env.world.counterfactual import in_precision
 from cp_env.world.scene_cache import SceneBank

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from cp_env.envs.actions import ascent
 from cp_env.envs.actions import guided as module
 from cp_env.envs.actions.guided import Guidance
 from cp_env.envs.actions.registry import make_action
@@ -46,6 +47,13 @@ def test_guided_does_more_damage_than_noise_of_the_same_size(bank: SceneBank) ->
     here = situation(bank)
     noise = torch.randn((E, K, 128, 32, 32), generator=torch.Generator().manual_seed(0)).sign() * here.budget
     assert (_loss(here, make_action("guided", 128, 32)(guided(), here)) > _loss(here, noise)).all()
+
+
+def test_a_search_in_bfloat16_does_as_much_to_the_victim_in_single_precision(bank: SceneBank) -> None:
+    here = situation(bank)
+    exact, rounded = (make_action("guided", 128, 32, one)(guided(), here) for one in (None, "bfloat16"))
+    assert not torch.equal(exact, rounded)
+    torch.testing.assert_close(_loss(here, rounded), _loss(here, exact), rtol=0.05, atol=0)
 
 
 def _loss(here: Situation, delta: torch.Tensor) -> torch.Tensor:
@@ -102,7 +110,7 @@ def test_worlds_are_attacked_alike_in_any_parts(bank: SceneBank, monkeypatch: py
     found = []
     for together, one_by_one in ((1, ("cpu",)), (3, ("cpu",)), (16, ("cpu",)), (16, ())):
         monkeypatch.setitem(module.TOGETHER, "cpu", together)
-        monkeypatch.setattr(module, "ONE_BY_ONE", one_by_one)
+        monkeypatch.setattr(ascent, "ONE_BY_ONE", one_by_one)
         steer = make_action("guided", bank.detector.channels, bank.detector.size)
         found.append([steer(actions, world.current()).clone() for _ in range(2)])
     assert all(torch.equal(a, b) for other in found[1:] for a, b in zip(other, found[0], strict=True))

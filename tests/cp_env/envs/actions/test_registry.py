@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
 
+import cp_env
 from cp_env.envs.actions.registry import make_action
 from cp_env.perturbation.channel import norm_of
 from cp_env.settings import ACTIONS
@@ -44,3 +47,36 @@ def test_wrong_shapes_are_refused_and_large_values_clipped(name: str) -> None:
         action_map.checked(np.zeros((E, K, 3)), (E, K))
     clipped = action_map.checked(np.full((E, K, *action_map.space.shape), 7.0), (E, K))
     assert (clipped == 1.0).all()
+
+
+@pytest.mark.parametrize("name", ["guided", "stealth", "critical"])
+def test_a_search_in_bfloat16_finds_much_the_same_and_leaves_the_victim_alone(bank: SceneBank, name: str) -> None:
+    here = situation(bank)
+    actions = np.zeros((E, K, *make_action(name, 128, 32).space.shape), dtype=np.float32)
+    exact, rounded = (make_action(name, 128, 32, one)(actions, here) for one in (None, "bfloat16"))
+    assert here.received.dtype == torch.float32 and here.detector is bank.detector
+    assert not torch.equal(exact, rounded)
+    assert torch.cosine_similarity(exact.flatten(), rounded.flatten(), dim=0) > 0.5  # signs of faint slopes are luck
+
+
+@pytest.mark.parametrize("name", ["basis", "full"])
+def test_a_precision_without_a_gradient_is_refused(name: str) -> None:
+    with pytest.raises(ValueError, match=rf"take a gradient \(guided, stealth, critical\), not for '{name}'"):
+        make_action(name, 128, 32, "bfloat16")
+
+
+@pytest.mark.parametrize(
+    ("options", "what"),
+    [
+        ({"action": "basis", "gradient_precision": "bfloat16"}, "not for 'basis'"),
+        ({"gradient_precision": "bfloat61"}, "bfloat16"),
+        (
+            {"detector": "tests.cp_env.detector.model.test_precision:Plain", "gradient_precision": "bfloat16"},
+            "knows no",
+        ),
+        ({"precision": "bfloat16", "gradient_precision": "float32"}, "open the detector anew"),
+    ],
+)
+def test_environments_refuse_precisions_that_cannot_be_had(options: dict[str, Any], what: str) -> None:
+    with pytest.raises(ValueError, match=what):
+        cp_env.parallel_env(**options)

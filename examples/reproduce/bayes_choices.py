@@ -1,0 +1,186 @@
+"""Constants of `bayes` that were chosen by hand, each beside other values of it, on calibration scenes.
+
+    python examples/reproduce/bayes_choices.py --precision bfloat16
+    python examples/reproduce/bayes_choices.py --scenes junction/calibration --n-scenes 10
+
+One constant is changed at a time: g₂, the weight of a stealthy outlier; the probability of an attack below which
+nothing is verified; and the share of an outlier's density that is the mean of all (`OUTLIER_MIX`). Every value meets
+the same episodes. The difference to the shipped value is paired by scene, in detection loss per frame, its mean over
+the attacks. A value is better if it does less damage, p < 0.05 after Holm's correction over all values, and flags no
+more benign vehicles. No test scene is played. What is played is kept in `out`: the same command goes on where a killed
+run stopped.
+"""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+from dataclasses import dataclass
+from hashlib import blake2b
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import torch
+import tyro
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+import agents
+from cp_env.evaluation import Conditions, open_bank, plan_runs, play
+from cp_env.evaluation.analysis.comparisons import LEVEL, holm, paired_difference
+from cp_env.evaluation.plan.files import write_atomically
+from cp_env.metrics.shares import share_interval
+from cp_env.scenes import open_source
+from cp_env.settings import Precision
+from defenders.bayes import defender, likelihood, posterior
+
+SHIPPED = "as shipped"
+CONSTANTS: dict[str, tuple[ModuleType, str, tuple[float, ...]]] = {
+    "g₂": (posterior, "OUTLIER_PRIOR", (1.0, 2.0, 8.0)),
+    "alarm": (defender, "ALARM_PROB", (0.02, 0.1)),
+    "OUTLIER_MIX": (likelihood, "OUTLIER_MIX", (0.1, 0.5)),
+}
+"""Where each constant stands, and the other values that it is given."""
+
+
+@dataclass(frozen=True)
+class Args:
+    """What is played."""
+
+    scenes: str = "town/calibration"
+    n_scenes: int = 12  # the first of the source's list
+    frames: int = 30
+    attacks: tuple[str, ...] = (
+        "pgd",
+        "in_loop:threshold=0.35,steps=8",
+        "in_loop:threshold=0.6,steps=8",
+        "ramp:rate=0.3,first=0.2,steps=8",
+    )
+    k: int = 2
+    defender: str = "bayes"
+    precision: Precision = "float32"  # of the detector's maps, fusion and decoder
+    seed: int = 0
+    threads: int = 1
+    out: Path = Path("out/bayes_choices")
+
+
+@dataclass(frozen=True)
+class Played:
+    """One number a scene: damage a frame, verifications a frame, benign vehicles flagged in the end."""
+
+    damage: list[float]
+    verifications: list[float]
+    flagged: list[int]
+
+
+def values() -> list[tuple[str, float | None]]:
+    """The shipped values first, then each constant with each of its others."""
+    return [(SHIPPED, None), *((name, value) for name, (_, _, others) in CONSTANTS.items() for value in others)]
+
+
+def give(name: str, value: float) -> None:
+    """Put a value in a constant's place, for the rest of the process."""
+    module, attribute, _ = CONSTANTS[name]
+    old = getattr(module, attribute)
+    setattr(module, attribute, np.array([old[0], value]) if isinstance(old, np.ndarray) else value)
+
+
+def measure(args: Args, name: str, value: float | None) -> dict[str, Played]:
+    """One value without an attack and against each; in a process of its own, since tables rest on the constants."""
+    torch.set_num_threads(args.threads)
+    if value is not None:
+        give(name, value)
+    names = tuple(open_source(args.scenes).names()[: args.n_scenes])
+    conditions = Conditions(args.scenes, names, args.frames, precision=args.precision)
+    bank, found = open_bank(conditions), {}
+    for attack in ("none", *args.attacks):
+        runs = plan_runs(
+            conditions, defenders=(args.defender,), attacks=(attack,), ks=(args.k,), seeds=(args.seed,), batch=6
+        )
+        records = [one for run in runs for one in play(run, conditions, bank, agents.make(attack))]
+        found[attack] = Played(
+            damage=[float(np.mean(one.damage)) for one in records],
+            verifications=[float(np.mean(one.verifications)) for one in records],
+            flagged=[len(set(one.suspects) - set(one.attackers)) for one in records],
+        )
+    return found
+
+
+def survey(args: Args) -> dict[str, dict[str, Played]]:
+    """Every value against every attack and against none; what is on disk already is read."""
+    args.out.mkdir(parents=True, exist_ok=True)
+    conditions = about(args)
+    found: dict[str, dict[str, Played]] = {}
+    with multiprocessing.get_context("spawn").Pool(1, maxtasksperchild=1) as pool:
+        for name, value in track(values(), "playing", console=Console(stderr=True)):
+            label = name if value is None else f"{name} = {value:g}"
+            path = args.out / f"{hashed(conditions + label)}.json"
+            if not path.exists():
+                played = pool.apply(measure, (args, name, value))
+                content = {attack: vars(one) for attack, one in played.items()}
+                write_atomically(path, json.dumps({"about": conditions, "value": label, "played": content}, indent=1))
+            found[label] = read(path)
+    return found
+
+
+def about(args: Args) -> str:
+    """What a stored figure depends on, besides the value."""
+    return json.dumps({key: value for key, value in vars(args).items() if key not in ("out", "threads")})
+
+
+def hashed(text: str) -> str:
+    """A name for a file."""
+    return blake2b(text.encode(), digest_size=8).hexdigest()
+
+
+def read(path: Path) -> dict[str, Played]:
+    """What one value did, by attack."""
+    content: dict[str, Any] = json.loads(path.read_text())
+    return {attack: Played(**one) for attack, one in content["played"].items()}
+
+
+def table(found: dict[str, dict[str, Played]], args: Args) -> Table:
+    """A row a value, beside the shipped one."""
+
+    def over_attacks(label: str) -> np.ndarray:
+        return np.mean([found[label][attack].damage for attack in args.attacks], axis=0)
+
+    made = Table(title=f"{args.defender}, {args.scenes}, {args.n_scenes} scenes of {args.frames} frames, k = {args.k}")
+    headings = (
+        "value",
+        *(f"damage, {attack}" for attack in args.attacks),
+        "mean of these",
+        "more than shipped, paired",
+    )
+    for heading in (*headings, "p (Holm)", "benign flagged, no attack", "under attack", "verifications, no attack"):
+        made.add_column(heading, overflow="fold")
+    others = [label for label in found if label != SHIPPED]
+    compared = {label: paired_difference(over_attacks(label), over_attacks(SHIPPED)) for label in others}
+    adjusted = dict(zip(others, holm([compared[label][1] for label in others]), strict=True))
+    for label, played in found.items():
+        flagged = [
+            played["none"].flagged,
+            [sum(f) for f in zip(*(played[a].flagged for a in args.attacks), strict=True)],
+        ]
+        made.add_row(
+            label,
+            *(f"{np.mean(played[attack].damage):.3f}" for attack in args.attacks),
+            f"{share_interval(over_attacks(label)):.3f}",
+            f"{compared[label][0]:+.3f}" if label in compared else "",
+            f"{adjusted[label]:.3f}{' *' if adjusted[label] < LEVEL else ''}" if label in compared else "",
+            str(sum(flagged[0])),
+            str(sum(flagged[1])),
+            f"{np.mean(played['none'].verifications):.2f}",
+        )
+    return made
+
+
+def main(args: Args) -> None:
+    Console(width=230).print(table(survey(args), args))
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Args, description=__doc__))
