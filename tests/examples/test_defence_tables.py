@@ -180,6 +180,24 @@ def test_similarity_of_consecutive_outputs() -> None:
     assert lines[2].startswith("| PGD | 0.30 [") and lines[-1].startswith("| C&W, to the benign frame before | 0.10 [")
 
 
+def test_objectives_are_paired_by_scene() -> None:
+    """Two frames of 0 and d make a mean of d / 2: 0.2 and 0.3 with ours, 0.3 and 0.5 with the standard loss."""
+    results = {
+        evaluation.Run(defender, attack + option, 2, 0, (scene,)): (
+            replace(record(scene, True), damage=(0.0, damage), similarity=(1.0, 2 * damage / 10), suspects=suspects),
+        )
+        for defender in ("none", "prbi")
+        for attack in ATTACKS
+        for option, damages, suspects in (("", (0.4, 0.6), (1, 2)), (":objective=detection_loss", (0.6, 1.0), (1,)))
+        for scene, damage in zip(("toy-0", "toy-1"), damages, strict=True)
+    }
+    lines = list(defence_figures.objectives(results))
+    assert len(lines) == 1 + 6
+    cells = [cell.strip() for cell in lines[-1].split("|")[1:-1]]
+    assert cells[0] == "C&W, prbi" and cells[1].startswith("0.250 [") and cells[2].startswith("0.400 [")
+    assert cells[3].startswith("+0.150 [") and cells[4:] == ["0.10, 0.16", "100, 50"]
+
+
 def test_averages_need_the_same_scenes() -> None:
     with pytest.raises(ValueError, match="the same scenes in each"):
         evaluation.mean_ap([[record("toy-0", True)], [record("toy-1", True)]], 0.5)
