@@ -12,7 +12,7 @@ from torch import Tensor
 from cp_env.detector.model.base import moves_as_ours
 from cp_env.detector.model.decoder import Dense
 from cp_env.detector.model.warp import Moves, add_weighted, weighted_moves
-from cp_env.detector.protocol import DetectorLike, LinearFusion
+from cp_env.detector.protocol import DetectorLike, LinearFusion, dtype_of
 from cp_env.perturbation.channel import inject
 
 
@@ -52,7 +52,7 @@ def attacked_output(
     if weights is None or not isinstance(detector, LinearFusion):
         if worlds is not None:
             received, coverage = received[worlds], coverage[worlds]
-        received = received.to(getattr(detector, "dtype", received.dtype))
+        received = received.to(dtype_of(detector))
         return AttackedOutput(detector, received, coverage, attackers, ego_T_attacker, world, groups)
     share = torch.take_along_dim(weights, attackers[world][..., None, None], 1)[:, :, None]
     moves = weighted_moves(share, world, ego_T_attacker, detector.extent, sending) if moves_as_ours(detector) else None

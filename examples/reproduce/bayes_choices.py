@@ -13,13 +13,11 @@ run stopped.
 
 from __future__ import annotations
 
-import json
 import multiprocessing
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from hashlib import blake2b
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 import numpy as np
 import torch
@@ -29,13 +27,15 @@ from rich.progress import track
 from rich.table import Table
 
 import agents
-from cp_env.evaluation import Conditions, open_bank, plan_runs, play
+from cp_env.evaluation import Conditions, Record, Run, Store, Workers, execute, open_bank, plan_runs
 from cp_env.evaluation.analysis.comparisons import LEVEL, holm, paired_difference
-from cp_env.evaluation.plan.files import write_atomically
+from cp_env.evaluation.plan.runs import file_words
 from cp_env.metrics.shares import share_interval
 from cp_env.scenes import open_source
 from cp_env.settings import Precision
 from defenders.bayes import defender, likelihood, posterior
+
+Played = dict[str, list[Record]]  # the episodes of one value, by attack
 
 SHIPPED = "as shipped"
 CONSTANTS: dict[str, tuple[ModuleType, str, tuple[float, ...]]] = {
@@ -67,15 +67,6 @@ class Args:
     out: Path = Path("out/bayes_choices")
 
 
-@dataclass(frozen=True)
-class Played:
-    """One number a scene: damage a frame, verifications a frame, benign vehicles flagged in the end."""
-
-    damage: list[float]
-    verifications: list[float]
-    flagged: list[int]
-
-
 def values() -> list[tuple[str, float | None]]:
     """The shipped values first, then each constant with each of its others."""
     return [(SHIPPED, None), *((name, value) for name, (_, _, others) in CONSTANTS.items() for value in others)]
@@ -88,92 +79,79 @@ def give(name: str, value: float) -> None:
     setattr(module, attribute, np.array([old[0], value]) if isinstance(old, np.ndarray) else value)
 
 
-def measure(args: Args, name: str, value: float | None) -> dict[str, Played]:
-    """One value without an attack and against each; in a process of its own, since tables rest on the constants."""
+def plan(args: Args) -> tuple[list[Run], Conditions]:
+    """The episodes that every value meets: without an attack, and under each."""
+    names = tuple(open_source(args.scenes).names()[: args.n_scenes])
+    conditions = Conditions(args.scenes, names, args.frames, precision=args.precision)
+    attacks = ("none", *args.attacks)
+    runs = plan_runs(conditions, defenders=(args.defender,), attacks=attacks, ks=(args.k,), seeds=(args.seed,), batch=6)
+    return runs, conditions
+
+
+def store_of(args: Args, label: str, conditions: Conditions) -> Store:
+    """Where the episodes of one value are kept."""
+    return Store(args.out / file_words(label), open_bank(conditions).detector.digest)
+
+
+def play(args: Args, name: str, value: float | None, label: str) -> None:
+    """Play what is missing of one value; in a process of its own, since tables rest on the constants."""
     torch.set_num_threads(args.threads)
     if value is not None:
         give(name, value)
-    names = tuple(open_source(args.scenes).names()[: args.n_scenes])
-    conditions = Conditions(args.scenes, names, args.frames, precision=args.precision)
-    bank, found = open_bank(conditions), {}
-    for attack in ("none", *args.attacks):
-        runs = plan_runs(
-            conditions, defenders=(args.defender,), attacks=(attack,), ks=(args.k,), seeds=(args.seed,), batch=6
-        )
-        records = [one for run in runs for one in play(run, conditions, bank, agents.make(attack))]
-        found[attack] = Played(
-            damage=[float(np.mean(one.damage)) for one in records],
-            verifications=[float(np.mean(one.verifications)) for one in records],
-            flagged=[len(set(one.suspects) - set(one.attackers)) for one in records],
-        )
-    return found
+    runs, conditions = plan(args)
+    for _ in execute(runs, conditions, store_of(args, label, conditions), Workers(make_attack=agents.make)):
+        pass
 
 
-def survey(args: Args) -> dict[str, dict[str, Played]]:
+def survey(args: Args) -> dict[str, Played]:
     """Every value against every attack and against none; what is on disk already is read."""
-    args.out.mkdir(parents=True, exist_ok=True)
-    conditions = about(args)
-    found: dict[str, dict[str, Played]] = {}
-    with multiprocessing.get_context("spawn").Pool(1, maxtasksperchild=1) as pool:
-        for name, value in track(values(), "playing", console=Console(stderr=True)):
-            label = name if value is None else f"{name} = {value:g}"
-            path = args.out / f"{hashed(conditions + label)}.json"
-            if not path.exists():
-                played = pool.apply(measure, (args, name, value))
-                content = {attack: vars(one) for attack, one in played.items()}
-                write_atomically(path, json.dumps({"about": conditions, "value": label, "played": content}, indent=1))
-            found[label] = read(path)
+    runs, conditions = plan(args)
+    found: dict[str, Played] = {}
+    for name, value in track(values(), "playing", console=Console(stderr=True)):
+        label = name if value is None else f"{name} = {value:g}"
+        store = store_of(args, label, conditions)
+        if len(store.load(runs, conditions)) < len(runs):
+            with multiprocessing.get_context("spawn").Pool(1) as pool:
+                pool.apply(play, (args, name, value, label))
+        found[label] = {}
+        for run, records in store.load(runs, conditions).items():
+            found[label].setdefault(run.attack, []).extend(records)
     return found
 
 
-def about(args: Args) -> str:
-    """What a stored figure depends on, besides the value."""
-    return json.dumps({key: value for key, value in vars(args).items() if key not in ("out", "threads")})
+def flagged(records: Sequence[Record]) -> int:
+    """Benign vehicles that are flagged in the end, over all episodes."""
+    return sum(len(set(one.suspects) - set(one.attackers)) for one in records)
 
 
-def hashed(text: str) -> str:
-    """A name for a file."""
-    return blake2b(text.encode(), digest_size=8).hexdigest()
-
-
-def read(path: Path) -> dict[str, Played]:
-    """What one value did, by attack."""
-    content: dict[str, Any] = json.loads(path.read_text())
-    return {attack: Played(**one) for attack, one in content["played"].items()}
-
-
-def table(found: dict[str, dict[str, Played]], args: Args) -> Table:
+def table(found: Mapping[str, Played], args: Args) -> Table:
     """A row a value, beside the shipped one."""
 
+    def damages(label: str, attack: str) -> list[float]:
+        return [float(np.mean(one.damage)) for one in found[label][attack]]
+
     def over_attacks(label: str) -> np.ndarray:
-        return np.mean([found[label][attack].damage for attack in args.attacks], axis=0)
+        return np.mean([damages(label, attack) for attack in args.attacks], axis=0)
 
     made = Table(title=f"{args.defender}, {args.scenes}, {args.n_scenes} scenes of {args.frames} frames, k = {args.k}")
-    headings = (
-        "value",
-        *(f"damage, {attack}" for attack in args.attacks),
-        "mean of these",
-        "more than shipped, paired",
-    )
-    for heading in (*headings, "p (Holm)", "benign flagged, no attack", "under attack", "verifications, no attack"):
+    played = (f"damage, {attack}" for attack in args.attacks)
+    for heading in ("value", *played, "mean of these", "more than shipped, paired", "p (Holm)"):
+        made.add_column(heading, overflow="fold")
+    for heading in ("benign flagged, no attack", "under attack", "verifications, no attack"):
         made.add_column(heading, overflow="fold")
     others = [label for label in found if label != SHIPPED]
     compared = {label: paired_difference(over_attacks(label), over_attacks(SHIPPED)) for label in others}
     adjusted = dict(zip(others, holm([compared[label][1] for label in others]), strict=True))
-    for label, played in found.items():
-        flagged = [
-            played["none"].flagged,
-            [sum(f) for f in zip(*(played[a].flagged for a in args.attacks), strict=True)],
-        ]
+    for label, of in found.items():
         made.add_row(
             label,
-            *(f"{np.mean(played[attack].damage):.3f}" for attack in args.attacks),
+            *(f"{np.mean(damages(label, attack)):.3f}" for attack in args.attacks),
             f"{share_interval(over_attacks(label)):.3f}",
             f"{compared[label][0]:+.3f}" if label in compared else "",
             f"{adjusted[label]:.3f}{' *' if adjusted[label] < LEVEL else ''}" if label in compared else "",
-            str(sum(flagged[0])),
-            str(sum(flagged[1])),
-            f"{np.mean(played['none'].verifications):.2f}",
+            str(flagged(of["none"])),
+            str(sum(flagged(of[attack]) for attack in args.attacks)),
+            f"{np.mean([np.mean(one.verifications) for one in of['none']]):.2f}",
         )
     return made
 

@@ -16,7 +16,7 @@ from cp_env import evaluation
 from cp_env.evaluation.analysis.comparisons import paired_difference
 from cp_env.evaluation.plan.records import PooledApMeter
 from cp_env.metrics.average_precision import resampled_ap
-from cp_env.metrics.identification import mc_rate, recovery
+from cp_env.metrics.identification import id_rate, mc_rate, recovery
 from cp_env.metrics.intervals import Interval, jackknife_interval
 from cp_env.metrics.shares import share_interval
 from cp_env.settings import Fusion
@@ -182,7 +182,7 @@ def _to_the_last(record: evaluation.Record) -> float:
 
 
 def _identified(record: evaluation.Record) -> float:
-    return 100 * float(np.mean([attacker in record.suspects for attacker in record.attackers]))
+    return 100 * id_rate(record.suspects, record.attackers)
 
 
 def head(title: str, columns: Sequence[str]) -> str:
